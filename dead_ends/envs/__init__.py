@@ -1,0 +1,1 @@
+"""Builders of models: parameters in, :class:`dead_ends.SafeMDP` out."""

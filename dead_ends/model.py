@@ -1,0 +1,478 @@
+"""Safe Markov decision processes (Definition 1 of the paper, "SMDP").
+
+A safe MDP is a finite MDP in which an episode ends at the first safety violation. The
+violation is entering a fail state: the cost of a transition is 1 if it enters ``fail``
+and 0 otherwise (the paper's cost function, C(s, a, s') = I(s' in S_fail)).
+
+Two storage forms, one class:
+
+* deterministic: a table ``next_state[s, a]`` (int32, -1 where an action is not available);
+* stochastic: a sparse kernel of shape (S*A, S) whose row ``s*A + a`` is P(. | s, a).
+
+Two kinds of states end an episode. ``fail`` states are violations; they have no actions.
+``terminal`` states are goals (or deadlocks that do no harm): safe and absorbing, every
+action stays there at no cost. What the input says about their rows is ignored.
+
+Models are frozen: every array is read-only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+__all__ = ["Geometry", "SafeMDP"]
+
+ROW_SUM_TOLERANCE = 1e-9
+MAX_STATES = int(np.iinfo(np.int32).max)
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """Where a state is drawn: a cell of a picture.
+
+    Attributes:
+        cell: int (S, 2), column and row of each state's cell; (-1, -1): not drawn.
+        x_label, y_label: names of the axes, with units.
+        origin, step: coordinates (x, y) of the centre of cell (0, 0), and a cell's size.
+        y_down: row 0 is drawn at the top (grid maps) instead of the bottom (diagrams).
+        walls: cells that belong to no state, drawn as walls.
+        arrows: one direction (dx, dy) an action in picture units, y upward; (0, 0) draws
+            a dot. None where actions have no direction.
+    """
+
+    cell: NDArray[np.int32]
+    x_label: str = "column"
+    y_label: str = "row"
+    origin: tuple[float, float] = (0.0, 0.0)
+    step: tuple[float, float] = (1.0, 1.0)
+    y_down: bool = False
+    walls: tuple[tuple[int, int], ...] = ()
+    arrows: tuple[tuple[float, float], ...] | None = None
+
+    def __post_init__(self) -> None:
+        cell = np.array(self.cell, dtype=np.int32)
+        if cell.ndim != 2 or cell.shape[1] != 2:
+            raise ValueError(f"geometry: cell must have shape (S, 2), not {cell.shape}")
+        object.__setattr__(self, "cell", _read_only(cell))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SafeMDP:
+    """A finite safe MDP; built by :meth:`deterministic` or :meth:`stochastic`.
+
+    Attributes:
+        next_state: int32 (S, A), -1 where an action is not available; None if stochastic.
+            Rows of fail and terminal states may hold anything: read them through
+            ``available`` and ``terminal``.
+        kernel: CSR (S*A, S), row s*A + a is P(. | s, a); None if deterministic. Rows of
+            unavailable actions and of fail states are empty, those of terminal states
+            are self-loops.
+        exact: the probabilities as Fractions, aligned with ``kernel.data``, if the model
+            was given in Fractions; else None.
+        fail: bool (S,), the violations S_fail.
+        terminal: bool (S,), goals: safe and absorbing.
+        rewards: float (S, A), the task's reward, or None.
+        initial: float (S,), the distribution of the first state, or None.
+        state_names, action_names: optional names.
+        geometry: where states are drawn, or None.
+    """
+
+    next_state: NDArray[np.int32] | None
+    kernel: csr_array[np.float64] | None
+    exact: tuple[Fraction, ...] | None
+    fail: NDArray[np.bool_]
+    terminal: NDArray[np.bool_]
+    num_actions: int
+    rewards: NDArray[np.float64] | None = None
+    initial: NDArray[np.float64] | None = None
+    state_names: tuple[str, ...] | None = None
+    action_names: tuple[str, ...] | None = None
+    geometry: Geometry | None = None
+    _available: NDArray[np.bool_] | None = field(default=None)
+
+    @classmethod
+    def deterministic(
+        cls,
+        next_state: ArrayLike,
+        fail: ArrayLike,
+        *,
+        terminal: ArrayLike | None = None,
+        rewards: ArrayLike | None = None,
+        initial: ArrayLike | None = None,
+        state_names: Sequence[str] | None = None,
+        action_names: Sequence[str] | None = None,
+        geometry: Geometry | None = None,
+    ) -> SafeMDP:
+        """A deterministic safe MDP from its successor table.
+
+        Args:
+            next_state: integers (S, A); -1 where an action is not available. A C-ordered
+                int32 array is adopted without a copy and marked read-only; any other is
+                copied once.
+            fail: bool (S,). Rows of fail states are ignored: the episode has ended.
+            terminal: bool (S,), goals: safe and absorbing, their rows are ignored.
+            rewards: finite float (S, A), for :func:`dead_ends.plan`.
+            initial: the first state: indices, a bool mask (S,), or a distribution (S,).
+            state_names, action_names: S and A names.
+            geometry: where states are drawn.
+
+        Raises:
+            ValueError: naming the state and action at fault.
+        """
+        table = np.asarray(next_state)
+        if table.ndim != 2 or table.shape[1] == 0:
+            raise ValueError(
+                f"next_state must have shape (S, A) with at least one action, not {table.shape}"
+            )
+        if not np.issubdtype(table.dtype, np.integer):
+            raise ValueError(f"next_state must hold integers, not {table.dtype}")
+        num_states, num_actions = table.shape
+        fail_mask, terminal_mask = _end_masks(fail, terminal, num_states)
+        names = _Names(state_names, action_names, num_states, num_actions)
+        _check_successors(table, fail_mask | terminal_mask, names)
+        if table.dtype == np.int32 and table.flags.c_contiguous:
+            adopted = table
+        else:
+            # Rows of fail and terminal states are not checked: they may not fit int32.
+            adopted = np.clip(table, -1, MAX_STATES).astype(np.int32, order="C")
+        return cls(
+            next_state=_read_only(adopted),
+            kernel=None,
+            exact=None,
+            fail=fail_mask,
+            terminal=terminal_mask,
+            num_actions=num_actions,
+            rewards=_rewards(rewards, num_states, num_actions, names),
+            initial=_initial(initial, num_states),
+            state_names=names.states,
+            action_names=names.actions,
+            geometry=_geometry(geometry, num_states, num_actions),
+        )
+
+    @classmethod
+    def stochastic(
+        cls,
+        P: Any,
+        fail: ArrayLike,
+        available: ArrayLike | None = None,
+        *,
+        terminal: ArrayLike | None = None,
+        rewards: ArrayLike | None = None,
+        initial: ArrayLike | None = None,
+        state_names: Sequence[str] | None = None,
+        action_names: Sequence[str] | None = None,
+        geometry: Geometry | None = None,
+    ) -> SafeMDP:
+        """A stochastic safe MDP from its transition probabilities.
+
+        Args:
+            P: dense (S, A, S), of floats or of Fractions (then the model is exact), or
+                scipy.sparse (S*A, S) with row s*A + a. Stored zeros are dropped.
+            fail: bool (S,). Rows of fail states are ignored: the episode has ended.
+            available: bool (S, A); without it every row of a state that is neither fail
+                nor terminal must be a distribution. Rows of unavailable actions are
+                ignored.
+            terminal, rewards, initial, state_names, action_names, geometry: as in
+                :meth:`deterministic`.
+
+        Raises:
+            ValueError: naming the state and action at fault: a negative or NaN
+                probability, a row that does not sum to 1 within 1e-9 (exactly, for
+                Fractions), a state that is neither fail nor terminal without an action.
+        """
+        from dead_ends.kernel import build_kernel
+
+        fail_array = np.asarray(fail)
+        num_states = fail_array.shape[0] if fail_array.ndim == 1 else -1
+        if num_states < 0:
+            raise ValueError(f"fail must have shape (S,), not {fail_array.shape}")
+        fail_mask, terminal_mask = _end_masks(fail, terminal, num_states)
+        num_actions = _num_actions(P, num_states)
+        names = _Names(state_names, action_names, num_states, num_actions)
+        mask = _available(available, fail_mask, terminal_mask, num_actions, names)
+        kernel, exact = build_kernel(P, mask, terminal_mask, names.pair)
+        return cls(
+            next_state=None,
+            kernel=kernel,
+            exact=exact,
+            fail=fail_mask,
+            terminal=terminal_mask,
+            num_actions=num_actions,
+            rewards=_rewards(rewards, num_states, num_actions, names),
+            initial=_initial(initial, num_states),
+            state_names=names.states,
+            action_names=names.actions,
+            geometry=_geometry(geometry, num_states, num_actions),
+            _available=mask,
+        )
+
+    @property
+    def num_states(self) -> int:
+        """S, the number of states."""
+        return len(self.fail)
+
+    @property
+    def is_deterministic(self) -> bool:
+        """Whether the model is stored as a successor table."""
+        return self.next_state is not None
+
+    @property
+    def available(self) -> NDArray[np.bool_]:
+        """bool (S, A): the actions one can take. None in fail states, all in terminal ones."""
+        if self._available is not None:
+            return self._available
+        assert self.next_state is not None
+        mask: NDArray[np.bool_] = self.next_state >= 0
+        mask[self.fail] = False
+        mask[self.terminal] = True
+        return _read_only(mask)
+
+    def successors(self) -> NDArray[np.int32]:
+        """int32 (S, A): ``next_state`` with fail rows -1 and terminal rows self-loops.
+
+        A copy; for deterministic models only.
+        """
+        if self.next_state is None:
+            raise ValueError("successors: the model is stochastic; use transitions()")
+        table = self.next_state.copy()
+        table[self.fail] = -1
+        table[self.terminal] = np.flatnonzero(self.terminal)[:, None]
+        return table
+
+    def transitions(self) -> csr_array[np.float64]:
+        """CSR (S*A, S): P(. | s, a) in row s*A + a, for either storage form.
+
+        Rows of unavailable actions and of fail states are empty.
+        """
+        if self.kernel is not None:
+            return self.kernel
+        from dead_ends.kernel import table_kernel
+
+        return table_kernel(self.successors())
+
+    def exact_probabilities(self) -> tuple[Fraction, ...]:
+        """The probabilities of ``transitions().data`` as Fractions.
+
+        Fractions are taken as given; a float is read as its shortest decimal (0.1 is
+        1/10).
+
+        Raises:
+            ValueError: naming the state and action whose row does not sum to exactly 1.
+        """
+        if self.exact is not None:
+            return self.exact
+        from dead_ends.kernel import exact_data
+
+        names = _Names(self.state_names, self.action_names, self.num_states, self.num_actions)
+        return exact_data(self.transitions(), names.pair)
+
+    def state_name(self, state: int) -> str:
+        """The state for a sentence: its number, and its name if it has one."""
+        return _named("state", state, self.state_names)
+
+    def action_name(self, action: int) -> str:
+        """The action for a sentence: its number, and its name if it has one."""
+        return _named("action", action, self.action_names)
+
+    def __repr__(self) -> str:
+        kind = "deterministic" if self.is_deterministic else "stochastic"
+        ends = f"{int(self.fail.sum()):,} fail, {int(self.terminal.sum()):,} terminal"
+        return f"SafeMDP({kind}, {self.num_states:,} states, {self.num_actions} actions, {ends})"
+
+
+def _read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
+    array.flags.writeable = False
+    return array
+
+
+def _named(kind: str, index: int, names: Sequence[str] | None) -> str:
+    return f"{kind} {index}" if names is None else f"{kind} {index} ({names[index]})"
+
+
+class _Names:
+    """Checked names, and how an error names a place."""
+
+    def __init__(
+        self,
+        states: Sequence[str] | None,
+        actions: Sequence[str] | None,
+        num_states: int,
+        num_actions: int,
+    ) -> None:
+        self.states = _checked_names("state_names", states, num_states)
+        self.actions = _checked_names("action_names", actions, num_actions)
+
+    def state(self, state: int) -> str:
+        return _named("state", state, self.states)
+
+    def pair(self, state: int, action: int) -> str:
+        return f"{self.state(state)}, {_named('action', action, self.actions)}"
+
+
+def _checked_names(what: str, names: Sequence[str] | None, count: int) -> tuple[str, ...] | None:
+    if names is None:
+        return None
+    if len(names) != count:
+        raise ValueError(f"{what}: expected {count} names, got {len(names)}")
+    return tuple(str(name) for name in names)
+
+
+def _mask(what: str, mask: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    array = np.asarray(mask)
+    if array.dtype != np.bool_:
+        raise ValueError(f"{what} must be a boolean mask, not {array.dtype}")
+    if array.shape != shape:
+        raise ValueError(f"{what} must have shape {shape}, not {array.shape}")
+    return _read_only(array.copy())
+
+
+def _end_masks(
+    fail: ArrayLike, terminal: ArrayLike | None, num_states: int
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    if num_states == 0:
+        raise ValueError("a model needs at least one state")
+    if num_states > MAX_STATES:
+        raise ValueError(f"a model has at most {MAX_STATES} states, not {num_states}")
+    fail_mask = _mask("fail", fail, (num_states,))
+    if terminal is None:
+        return fail_mask, _read_only(np.zeros(num_states, dtype=np.bool_))
+    terminal_mask = _mask("terminal", terminal, (num_states,))
+    both = np.flatnonzero(fail_mask & terminal_mask)
+    if len(both):
+        raise ValueError(f"state {both[0]} is both fail and terminal; a violation is not a goal")
+    return fail_mask, terminal_mask
+
+
+def _check_successors(
+    table: NDArray[np.integer[Any]], ended: NDArray[np.bool_], names: _Names
+) -> None:
+    """Every row that counts has its successors in range and at least one of them."""
+    num_states = len(table)
+    lowest, highest = int(table.min()), int(table.max())
+    if lowest < -1 or highest >= num_states:  # perhaps only in a row that does not count
+        bad = ((table < -1) | (table >= num_states)) & ~ended[:, None]
+        if bad.any():
+            state, action = (int(index) for index in np.argwhere(bad)[0])
+            raise ValueError(
+                f"{names.pair(state, action)}: successor {table[state, action]} is not a state "
+                f"(0 to {num_states - 1}, or -1 for an action that is not available)"
+            )
+    if lowest < 0:
+        stuck = ~ended
+        for action in range(table.shape[1]):
+            stuck &= table[:, action] < 0
+        if stuck.any():
+            raise _no_action(int(np.flatnonzero(stuck)[0]), names)
+
+
+def _no_action(state: int, names: _Names) -> ValueError:
+    return ValueError(
+        f"{names.state(state)} has no action and is neither fail nor terminal; "
+        "if the episode ends there without harm, mark it in `terminal`"
+    )
+
+
+def _num_actions(P: Any, num_states: int) -> int:
+    shape = tuple(getattr(P, "shape", None) or np.shape(P))
+    if len(shape) == 3:
+        if shape[0] != num_states or shape[2] != num_states or shape[1] == 0:
+            raise ValueError(f"P must have shape ({num_states}, A, {num_states}), not {shape}")
+        return int(shape[1])
+    if len(shape) != 2 or not hasattr(P, "tocsr"):
+        raise ValueError(
+            f"P must be dense with shape (S, A, S) or scipy.sparse with shape (S*A, S), not {shape}"
+        )
+    if shape[1] != num_states or shape[0] % num_states or shape[0] == 0:
+        raise ValueError(f"P must have shape ({num_states}*A, {num_states}), not {shape}")
+    return int(shape[0] // num_states)
+
+
+def _available(
+    available: ArrayLike | None,
+    fail: NDArray[np.bool_],
+    terminal: NDArray[np.bool_],
+    num_actions: int,
+    names: _Names,
+) -> NDArray[np.bool_]:
+    shape = (len(fail), num_actions)
+    if available is None:
+        mask = np.ones(shape, dtype=np.bool_)
+    else:
+        mask = _mask("available", available, shape).copy()
+    mask[terminal] = True
+    stuck = np.flatnonzero(~mask.any(axis=1) & ~fail)
+    if len(stuck):
+        raise _no_action(int(stuck[0]), names)
+    mask[fail] = False
+    return _read_only(mask)
+
+
+def _rewards(
+    rewards: ArrayLike | None, num_states: int, num_actions: int, names: _Names
+) -> NDArray[np.float64] | None:
+    if rewards is None:
+        return None
+    array = np.array(rewards, dtype=np.float64)
+    if array.shape != (num_states, num_actions):
+        raise ValueError(
+            f"rewards must have shape ({num_states}, {num_actions}), not {array.shape}"
+        )
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        state, action = (int(index) for index in bad[0])
+        raise ValueError(
+            f"{names.pair(state, action)}: reward {array[state, action]} is not finite"
+        )
+    return _read_only(array)
+
+
+def _initial(initial: ArrayLike | None, num_states: int) -> NDArray[np.float64] | None:
+    """The distribution of the first state, from indices, a mask or a distribution."""
+    if initial is None:
+        return None
+    array = np.asarray(initial)
+    distribution = np.zeros(num_states)
+    if array.dtype == np.bool_:
+        distribution[_mask("initial", array, (num_states,))] = 1.0
+    elif np.issubdtype(array.dtype, np.integer):
+        indices = np.atleast_1d(array)
+        if len(indices) and (indices.min() < 0 or indices.max() >= num_states):
+            raise ValueError(f"initial: states must lie in 0 to {num_states - 1}")
+        distribution[indices] = 1.0
+    else:
+        return _read_only(_distribution(array.astype(np.float64), num_states))
+    if not distribution.any():
+        raise ValueError("initial: at least one state is needed")
+    return _read_only(distribution / distribution.sum())
+
+
+def _distribution(array: NDArray[np.float64], num_states: int) -> NDArray[np.float64]:
+    if array.shape != (num_states,):
+        raise ValueError(f"initial must have shape ({num_states},), not {array.shape}")
+    bad = np.flatnonzero(~(array >= 0))
+    if len(bad):
+        raise ValueError(f"initial: state {bad[0]} has probability {array[bad[0]]}")
+    if abs(array.sum() - 1) > ROW_SUM_TOLERANCE:
+        raise ValueError(f"initial: probabilities sum to {array.sum()}, not 1")
+    return array.copy()
+
+
+def _geometry(geometry: Geometry | None, num_states: int, num_actions: int) -> Geometry | None:
+    if geometry is None:
+        return None
+    if len(geometry.cell) != num_states:
+        raise ValueError(f"geometry: expected {num_states} cells, got {len(geometry.cell)}")
+    if geometry.arrows is not None and len(geometry.arrows) != num_actions:
+        raise ValueError(f"geometry: expected {num_actions} arrows, got {len(geometry.arrows)}")
+    return geometry
