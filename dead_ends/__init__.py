@@ -35,8 +35,8 @@ _MODULE_OF = {
     "Geometry": "model",
     "greedy_actions": "policies",
     "in_policy_set": "policies",
-    "INFINITE": "labels",
-    "Label": "labels",
+    "INFINITE": "results",
+    "Label": "results",
     "Labelling": "results",
     "plan": "planning",
     "price_of_conservatism": "planning",
@@ -53,7 +53,40 @@ _MODULE_OF = {
     "Values": "results",
 }
 
-__all__ = [*_MODULE_OF, "__version__"]
+__all__ = [
+    "INFINITE",
+    "CriticConvention",
+    "Geometry",
+    "Label",
+    "Labelling",
+    "Reading",
+    "SafeMDP",
+    "ThresholdInterval",
+    "ValueConvention",
+    "Values",
+    "__version__",
+    "allowed_actions",
+    "behavior_correction",
+    "classify",
+    "conservatism",
+    "corrected_model",
+    "dea_rrl",
+    "dea_rrl_expectile",
+    "estimate_model",
+    "evaluate_policy",
+    "expectile_iteration",
+    "explain",
+    "greedy_actions",
+    "in_policy_set",
+    "plan",
+    "price_of_conservatism",
+    "recovery_policy",
+    "rrl",
+    "rrl_msdp",
+    "safe_actions",
+    "threshold_interval",
+    "value_iteration",
+]
 
 if TYPE_CHECKING:
     from dead_ends.model import Geometry as Geometry
