@@ -66,22 +66,22 @@ class Labelling:
     @property
     def fail(self) -> NDArray[np.bool_]:
         """bool (S,): S_fail."""
-        return self.labels == Label.FAIL
+        return np.equal(self.labels, Label.FAIL)
 
     @property
     def dead(self) -> NDArray[np.bool_]:
         """bool (S,): S_dead, P_min(F fail) = 1 and not fail."""
-        return self.labels == Label.DEAD
+        return np.equal(self.labels, Label.DEAD)
 
     @property
     def safe(self) -> NDArray[np.bool_]:
         """bool (S,): P_min(F fail) = 0; the paper's S_safe if the model is deterministic."""
-        return self.labels == Label.SAFE
+        return np.equal(self.labels, Label.SAFE)
 
     @property
     def at_risk(self) -> NDArray[np.bool_]:
         """bool (S,): 0 < P_min(F fail) < 1; empty if the model is deterministic."""
-        return self.labels == Label.AT_RISK
+        return np.equal(self.labels, Label.AT_RISK)
 
     @property
     def paper_safe(self) -> NDArray[np.bool_]:
