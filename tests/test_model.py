@@ -1,0 +1,296 @@
+"""The model: what it accepts, what it refuses and how it says so."""
+
+from __future__ import annotations
+
+import re
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from dead_ends import Geometry, SafeMDP
+
+FAIL_LAST = np.array([False, False, True])
+CHAIN = np.array([[0, 1], [2, 2], [0, 0]], dtype=np.int32)
+
+
+def uniform_kernel(num_states: int, num_actions: int) -> np.ndarray:
+    return np.full((num_states, num_actions, num_states), 1 / num_states)
+
+
+def test_an_int32_table_is_adopted_and_marked_read_only() -> None:
+    table = CHAIN.copy()
+    model = SafeMDP.deterministic(table, FAIL_LAST)
+    assert model.next_state is table
+    with pytest.raises(ValueError, match="read-only"):
+        table[0, 0] = 1
+
+
+def test_a_memory_mapped_table_is_adopted(tmp_path) -> None:
+    np.save(tmp_path / "table.npy", CHAIN)
+    table = np.load(tmp_path / "table.npy", mmap_mode="r")
+    model = SafeMDP.deterministic(table, FAIL_LAST)
+    assert np.shares_memory(model.next_state, table)
+
+
+@pytest.mark.parametrize("dtype", [np.int8, np.int16, np.int64, np.uint8, np.uint64])
+def test_other_integers_are_copied(dtype: type) -> None:
+    table = CHAIN.astype(dtype)
+    model = SafeMDP.deterministic(table, FAIL_LAST)
+    assert model.next_state is not None
+    assert model.next_state.dtype == np.int32
+    assert np.array_equal(model.next_state, CHAIN)
+    table[0, 0] = 1  # the input stays the caller's
+    assert model.next_state[0, 0] == 0
+
+
+def test_a_transposed_table_is_copied_in_row_order() -> None:
+    model = SafeMDP.deterministic(np.asfortranarray(CHAIN), FAIL_LAST)
+    assert model.next_state is not None
+    assert model.next_state.flags.c_contiguous
+    assert np.array_equal(model.next_state, CHAIN)
+
+
+def test_masks_are_copied() -> None:
+    fail = FAIL_LAST.copy()
+    model = SafeMDP.deterministic(CHAIN.copy(), fail)
+    fail[0] = True
+    assert not model.fail[0]
+
+
+def test_rows_of_fail_and_terminal_states_are_ignored() -> None:
+    table = np.array([[0, 1], [-7, 99], [77, -1]])
+    terminal = np.array([False, True, False])
+    model = SafeMDP.deterministic(table, FAIL_LAST, terminal=terminal)
+    assert model.available.tolist() == [[True, True], [True, True], [False, False]]
+    assert model.successors().tolist() == [[0, 1], [1, 1], [-1, -1]]
+    expected = np.zeros((6, 3))
+    expected[0, 0] = expected[1, 1] = expected[2, 1] = expected[3, 1] = 1
+    assert np.array_equal(model.transitions().toarray(), expected)
+
+
+def test_stochastic_rows_of_fail_and_terminal_states_are_ignored() -> None:
+    P = uniform_kernel(3, 2)
+    P[1] = np.nan
+    P[2] = -5
+    terminal = np.array([False, True, False])
+    kernel = SafeMDP.stochastic(P, FAIL_LAST, terminal=terminal).transitions().toarray()
+    assert np.array_equal(kernel[2:4], [[0, 1, 0]] * 2)
+    assert not kernel[4:].any()
+
+
+def test_storage_forms_agree() -> None:
+    P = np.zeros((3, 2, 3))
+    for state in (0, 1):
+        for action in (0, 1):
+            P[state, action, CHAIN[state, action]] = 1
+    deterministic = SafeMDP.deterministic(CHAIN.copy(), FAIL_LAST)
+    dense = SafeMDP.stochastic(P, FAIL_LAST)
+    assert np.array_equal(deterministic.transitions().toarray(), dense.transitions().toarray())
+    assert np.array_equal(deterministic.available, dense.available)
+    for form in (sparse.csr_array, sparse.csc_matrix, sparse.coo_array, sparse.lil_matrix):
+        model = SafeMDP.stochastic(form(P.reshape(6, 3)), FAIL_LAST)
+        assert np.array_equal(model.transitions().toarray(), dense.transitions().toarray())
+
+
+def test_duplicate_sparse_entries_add_up_and_zeros_are_dropped() -> None:
+    rows, columns = [0, 0, 0, 1], [1, 1, 0, 0]
+    P = sparse.coo_array(([0.25, 0.75, 0.0, 1.0], (rows, columns)), shape=(2, 2))
+    kernel = SafeMDP.stochastic(P, np.array([False, False])).transitions()
+    assert kernel.nnz == 2
+    assert np.array_equal(kernel.toarray(), [[0, 1], [1, 0]])
+
+
+def test_unavailable_rows_are_ignored() -> None:
+    P = uniform_kernel(2, 2)
+    P[0, 1] = 0
+    available = np.array([[True, False], [True, True]])
+    model = SafeMDP.stochastic(P, np.array([False, True]), available)
+    assert model.available.tolist() == [[True, False], [False, False]]
+    P[0, 1] = 7
+    again = SafeMDP.stochastic(P, np.array([False, True]), available)
+    assert np.array_equal(again.transitions().toarray(), model.transitions().toarray())
+
+
+def test_fractions_are_kept() -> None:
+    third = Fraction(1, 3)
+    P = np.array([[[third, 1 - third]], [[0, 1]]], dtype=object)
+    model = SafeMDP.stochastic(P, np.array([False, False]))
+    assert model.exact_probabilities() == (third, 1 - third, Fraction(1))
+
+
+def test_floats_are_read_as_their_shortest_decimal() -> None:
+    P = np.array([[[0.1, 0.9]], [[0.0, 1.0]]])
+    model = SafeMDP.stochastic(P, np.array([False, False]))
+    assert model.exact_probabilities() == (Fraction(1, 10), Fraction(9, 10), Fraction(1))
+
+
+def test_thirds_in_floats_are_no_exact_distribution() -> None:
+    model = SafeMDP.stochastic(uniform_kernel(3, 1), FAIL_LAST)
+    with pytest.raises(ValueError, match="state 0, action 0: probabilities sum to .*, not exactly"):
+        model.exact_probabilities()
+
+
+def test_initial_states_in_three_forms() -> None:
+    def initial(value: object) -> np.ndarray:
+        model = SafeMDP.deterministic(CHAIN.copy(), FAIL_LAST, initial=value)
+        assert model.initial is not None
+        return model.initial
+
+    assert initial(1).tolist() == [0, 1, 0]
+    assert initial([0, 1]).tolist() == [0.5, 0.5, 0]
+    assert initial(np.array([True, False, False])).tolist() == [1, 0, 0]
+    assert initial([0.25, 0.75, 0.0]).tolist() == [0.25, 0.75, 0]
+
+
+def test_every_array_is_read_only() -> None:
+    geometry = Geometry(cell=np.zeros((3, 2)))
+    model = SafeMDP.stochastic(
+        uniform_kernel(3, 2), FAIL_LAST, rewards=np.zeros((3, 2)), initial=[0], geometry=geometry
+    )
+    kernel = model.transitions()
+    assert model.rewards is not None
+    assert model.initial is not None
+    arrays = [model.fail, model.terminal, model.available, model.rewards, model.initial]
+    arrays += [kernel.data, kernel.indices, kernel.indptr, geometry.cell]
+    assert not any(array.flags.writeable for array in arrays)
+
+
+def test_names_appear_in_errors_and_sentences() -> None:
+    model = SafeMDP.deterministic(
+        CHAIN.copy(), FAIL_LAST, state_names=["a", "b", "c"], action_names=["stay", "go"]
+    )
+    assert model.state_name(1) == "state 1 (b)"
+    assert model.action_name(0) == "action 0 (stay)"
+    with pytest.raises(ValueError, match=re.escape("state 0 (a), action 1 (go): successor 3")):
+        SafeMDP.deterministic(
+            [[0, 3], [2, 2], [0, 0]],
+            FAIL_LAST,
+            state_names=["a", "b", "c"],
+            action_names=["stay", "go"],
+        )
+
+
+def test_repr_counts() -> None:
+    model = SafeMDP.deterministic(CHAIN.copy(), FAIL_LAST)
+    assert repr(model) == "SafeMDP(deterministic, 3 states, 2 actions, 1 fail, 0 terminal)"
+
+
+@pytest.mark.parametrize(
+    ("next_state", "fail", "message"),
+    [
+        ([0, 1, 2], FAIL_LAST, "next_state must have shape (S, A)"),
+        (np.zeros((3, 0), dtype=int), FAIL_LAST, "at least one action"),
+        (np.zeros((0, 2), dtype=int), np.zeros(0, dtype=bool), "at least one state"),
+        ([[0.0], [1.0], [2.0]], FAIL_LAST, "next_state must hold integers, not float64"),
+        (CHAIN, [0, 0, 1], "fail must be a boolean mask, not int64"),
+        (CHAIN, [True, False], "fail must have shape (3,), not (2,)"),
+        ([[0, 3], [2, 2], [0, 0]], FAIL_LAST, "state 0, action 1: successor 3 is not a state"),
+        ([[0, 1], [-2, 2], [0, 0]], FAIL_LAST, "state 1, action 0: successor -2 is not a state"),
+        ([[0, 1], [-1, -1], [0, 0]], FAIL_LAST, "state 1 has no action"),
+        ([[0, 1], [-1, -1], [0, 0]], FAIL_LAST, "mark it in `terminal`"),
+        ([[2**40, 1], [2, 2], [0, 0]], FAIL_LAST, "successor 1099511627776 is not a state"),
+    ],
+)
+def test_deterministic_refuses(next_state: object, fail: object, message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        SafeMDP.deterministic(next_state, fail)
+
+
+def test_a_state_cannot_be_fail_and_terminal() -> None:
+    with pytest.raises(ValueError, match="state 2 is both fail and terminal"):
+        SafeMDP.deterministic(CHAIN.copy(), FAIL_LAST, terminal=FAIL_LAST)
+
+
+def changed(position: tuple[int, int, int], value: object) -> np.ndarray:
+    P = uniform_kernel(3, 2)
+    P[position] = value
+    return P
+
+
+@pytest.mark.parametrize(
+    ("P", "message"),
+    [
+        (np.ones((3, 3)), "P must be dense with shape (S, A, S) or scipy.sparse"),
+        (uniform_kernel(4, 2), "P must have shape (3, A, 3), not (4, 2, 4)"),
+        (sparse.eye_array(4).tocsr(), "P must have shape (3*A, 3), not (4, 4)"),
+        (uniform_kernel(3, 2) * 0.999, "state 0, action 0: probabilities sum to 0.999, not 1"),
+        (changed((1, 1, 2), np.nan), "state 1, action 1: probability nan"),
+        (changed((1, 1, 2), np.inf), "state 1, action 1: probability inf"),
+        (changed((0, 1, 2), -0.5), "state 0, action 1: negative probability -0.5"),
+        (np.zeros((3, 2, 3)), "mark the action in `available` if it cannot be taken"),
+        (changed((0, 0, 0), 1 / 3 + 2e-9), "state 0, action 0: probabilities sum to"),
+    ],
+)
+def test_stochastic_refuses(P: object, message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        SafeMDP.stochastic(P, FAIL_LAST)
+
+
+def test_rows_may_miss_one_by_rounding() -> None:
+    SafeMDP.stochastic(changed((0, 0, 0), 1 / 3 + 5e-10), FAIL_LAST)
+
+
+def test_fractions_must_sum_to_exactly_one() -> None:
+    P = np.array([[[Fraction(1, 2), Fraction(1, 2) - Fraction(1, 10**12)]]] * 2, dtype=object)
+    with pytest.raises(
+        ValueError, match="state 0, action 0: probabilities sum to .*, not exactly 1"
+    ):
+        SafeMDP.stochastic(P, np.array([False, False]))
+    P = np.array([[["one", Fraction(1, 2)]]] * 2, dtype=object)
+    with pytest.raises(ValueError, match="'one' is not a probability"):
+        SafeMDP.stochastic(P, np.array([False, False]))
+    P = np.array([[[Fraction(3, 2), Fraction(-1, 2)]]] * 2, dtype=object)
+    with pytest.raises(ValueError, match="negative probability -1/2"):
+        SafeMDP.stochastic(P, np.array([False, False]))
+
+
+def test_sparse_indices_out_of_range_are_found() -> None:
+    P = sparse.csr_array((np.ones(2), np.array([0, 1]), np.array([0, 1, 2])), shape=(2, 2))
+    P.indices[1] = 5
+    with pytest.raises(ValueError, match="state 1, action 0: successor 5 is not a state"):
+        SafeMDP.stochastic(P, np.array([False, False]))
+
+
+def test_available_is_checked() -> None:
+    P, fail = uniform_kernel(2, 2), np.array([False, True])
+    with pytest.raises(ValueError, match="available must be a boolean mask"):
+        SafeMDP.stochastic(P, fail, np.ones((2, 2)))
+    with pytest.raises(ValueError, match="state 0 has no action"):
+        SafeMDP.stochastic(P, fail, np.zeros((2, 2), dtype=bool))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"rewards": np.zeros((2, 2))}, "rewards must have shape (3, 2), not (2, 2)"),
+        ({"rewards": np.full((3, 2), np.nan)}, "state 0, action 0: reward nan is not finite"),
+        ({"initial": [3]}, "initial: states must lie in 0 to 2"),
+        ({"initial": np.zeros(3, dtype=bool)}, "initial: at least one state is needed"),
+        ({"initial": [0.5, 0.4, 0.0]}, "initial: probabilities sum to 0.9, not 1"),
+        ({"initial": [-0.5, 1.5, 0.0]}, "initial: state 0 has probability -0.5"),
+        ({"initial": [0.5, 0.5]}, "initial must have shape (3,), not (2,)"),
+        ({"state_names": ["a"]}, "state_names: expected 3 names, got 1"),
+        ({"action_names": ["a"]}, "action_names: expected 2 names, got 1"),
+        ({"geometry": Geometry(cell=np.zeros((2, 2)))}, "geometry: expected 3 cells, got 2"),
+        (
+            {"geometry": Geometry(cell=np.zeros((3, 2)), arrows=((0, 1),))},
+            "geometry: expected 2 arrows, got 1",
+        ),
+        ({"terminal": [0, 1, 0]}, "terminal must be a boolean mask"),
+    ],
+)
+def test_options_are_checked(options: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        SafeMDP.deterministic(CHAIN.copy(), FAIL_LAST, **options)
+
+
+def test_geometry_needs_two_columns() -> None:
+    with pytest.raises(ValueError, match="cell must have shape"):
+        Geometry(cell=np.zeros(3))
+
+
+def test_successors_are_for_tables_only() -> None:
+    with pytest.raises(ValueError, match="the model is stochastic"):
+        SafeMDP.stochastic(uniform_kernel(3, 1), FAIL_LAST).successors()
