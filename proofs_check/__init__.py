@@ -1,0 +1,1 @@
+"""Every statement of the paper, established as strongly as it can be: `pytest proofs_check`."""
