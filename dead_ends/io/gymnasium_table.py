@@ -1,0 +1,189 @@
+"""Gymnasium environments that carry their transition table ``env.unwrapped.P``.
+
+``P[s][a]`` lists (probability, next state, reward, terminated). Which states fail is not in
+the table; for the environments whose rules say so it is known here, otherwise the user says
+it by states or by a condition on (s, a, r, s').
+
+FrozenLake's holes fail; in CliffWalking stepping into the cliff (reward -100) puts the agent
+back to the start, so the failure is a transition and one fail state is added for it. Neither
+has any dead-end, slippery or not: from every other state some policy never fails.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dead_ends.io.errors import located, optional_module
+from dead_ends.io.transitions import Condition, Transitions, build_model, state_mask
+from dead_ends.model import Geometry, SafeMDP
+
+__all__ = ["load_gymnasium", "make_environment"]
+
+_DIRECTIONS = {"left": (-1.0, 0.0), "down": (0.0, -1.0), "right": (1.0, 0.0), "up": (0.0, 1.0)}
+
+
+def make_environment(environment: Any, arguments: Mapping[str, Any] | None = None) -> Any:
+    """The environment of an id such as "FrozenLake-v1"; an environment is returned as it is.
+
+    Raises:
+        ValueError: if Gymnasium does not know the id or refuses the arguments.
+        MissingDependencyError: if Gymnasium is not installed.
+    """
+    gymnasium = optional_module("gymnasium", "an environment id", "gym")
+    if not isinstance(environment, str):
+        return environment
+    try:
+        return gymnasium.make(environment, **(arguments or {}))
+    except (gymnasium.error.Error, ModuleNotFoundError, TypeError, KeyError) as error:
+        raise ValueError(f"{environment}: {error}") from None
+
+
+def load_gymnasium(
+    environment: Any,
+    *,
+    fail_states: ArrayLike | None = None,
+    fail_if: Condition | None = None,
+    arguments: Mapping[str, Any] | None = None,
+) -> SafeMDP:
+    """The model of an environment with a table ``P``.
+
+    Transitions that terminate the episode outside the fail states are harmless ends: their
+    target becomes terminal, or they lead to one added terminal state where the episode may
+    also pass through the target. The model's rewards are the expected rewards of ``P``.
+
+    Args:
+        environment: an id or an environment.
+        fail_states: a mask (S,) or numbers of states. Without it and ``fail_if`` the rules
+            of a known environment decide.
+        fail_if: a condition on (s, a, r, s'), as text or a function; the transitions that
+            satisfy it lead to one added fail state.
+        arguments: for ``gymnasium.make``.
+
+    Raises:
+        ValueError: naming the environment, and the state and action at fault.
+        MissingDependencyError: if Gymnasium is not installed.
+    """
+    env = make_environment(environment, arguments)
+    name = environment if isinstance(environment, str) else str(env)
+    with located(name):
+        unwrapped = env.unwrapped
+        if not hasattr(unwrapped, "P"):
+            raise ValueError("the environment has no transition table P")
+        rules = _RULES.get(type(unwrapped).__name__, _Rules())
+        if fail_states is None and fail_if is None:
+            if rules.fail_states is None and rules.fail_if is None:
+                raise ValueError(
+                    "which states fail is not known; say it by fail_states (--fail-states) "
+                    "or fail_if (--fail-if)"
+                )
+            fail_if = rules.fail_if
+            if rules.fail_states is not None:
+                fail_states = rules.fail_states(unwrapped)
+        transitions = _describe(_read_table(unwrapped.P), unwrapped, rules)
+        if fail_states is not None:
+            transitions = replace(transitions, fail=state_mask(fail_states, transitions.num_states))
+        return build_model(transitions, fail_if)
+
+
+@dataclass(frozen=True)
+class _Rules:
+    """What is known of an environment beside its table."""
+
+    fail_states: Callable[[Any], NDArray[np.bool_]] | None = None
+    fail_if: str | None = None
+    actions: tuple[str, ...] | None = None
+    grid: Callable[[Any], tuple[int, int]] | None = None
+    """Rows and columns, if state = row * columns + column."""
+
+
+def _frozen_lake_holes(env: Any) -> NDArray[np.bool_]:
+    holes: NDArray[np.bool_] = np.asarray(env.desc).ravel() == b"H"
+    return holes
+
+
+_RULES = {
+    "FrozenLakeEnv": _Rules(
+        fail_states=_frozen_lake_holes,
+        actions=("left", "down", "right", "up"),
+        grid=lambda env: np.asarray(env.desc).shape,
+    ),
+    "CliffWalkingEnv": _Rules(
+        fail_if="r <= -100",
+        actions=("up", "right", "down", "left"),
+        grid=lambda env: env.shape,
+    ),
+    "TaxiEnv": _Rules(actions=("south", "north", "east", "west", "pick up", "drop off")),
+}
+
+
+def _read_table(table: Any) -> Transitions:
+    """``P[s][a]`` as columns. P and its rows may be dictionaries or lists."""
+    states = _numbered(table, "P")
+    rows = [
+        (state, action, successor, probability, reward, bool(done))
+        for state, actions in enumerate(states)
+        for action, outcomes in _items(actions, state)
+        for probability, successor, reward, done in outcomes
+    ]
+    if not rows:
+        raise ValueError("the transition table P is empty")
+    source, action, target, probability, reward, done = zip(*rows, strict=True)
+    return Transitions(
+        source=np.array(source, dtype=np.int64),
+        action=np.array(action, dtype=np.int64),
+        target=np.array(target, dtype=np.int64),
+        probability=np.array(probability, dtype=np.float64),
+        reward=np.array(reward, dtype=np.float64),
+        done=np.array(done, dtype=np.bool_),
+        fail=np.zeros(len(states), dtype=np.bool_),
+        terminal=np.zeros(len(states), dtype=np.bool_),
+        num_actions=max(action) + 1,
+    )
+
+
+def _numbered(table: Any, what: str) -> list[Any]:
+    if not isinstance(table, Mapping):
+        return list(table)
+    if sorted(table) != list(range(len(table))):
+        raise ValueError(f"the keys of {what} must be 0 to {len(table) - 1}")
+    return [table[state] for state in range(len(table))]
+
+
+def _items(actions: Any, state: int) -> list[tuple[int, Any]]:
+    """The actions of a state; a dictionary may leave out those that are not available."""
+    if not isinstance(actions, Mapping):
+        return list(enumerate(actions))
+    if not all(isinstance(action, int | np.integer) and action >= 0 for action in actions):
+        raise ValueError(f"state {state}: the keys of P[{state}] must be numbers of actions")
+    return [(int(action), outcomes) for action, outcomes in actions.items()]
+
+
+def _describe(transitions: Transitions, env: Any, rules: _Rules) -> Transitions:
+    """Add the initial distribution, names and geometry."""
+    initial = getattr(env, "initial_state_distrib", None)
+    names = rules.actions
+    if names is not None and len(names) != transitions.num_actions:
+        names = None
+    geometry = state_names = None
+    if rules.grid is not None:
+        rows, columns = rules.grid(env)
+        cells = [(column, row) for row, column in product(range(rows), range(columns))]
+        geometry = Geometry(
+            cell=np.array(cells),
+            y_down=True,
+            arrows=None if names is None else tuple(_DIRECTIONS[name] for name in names),
+        )
+        state_names = tuple(f"row {row}, column {column}" for column, row in cells)
+    return replace(
+        transitions,
+        initial=None if initial is None else np.asarray(initial, dtype=np.float64),
+        state_names=state_names,
+        action_names=names,
+        geometry=geometry,
+    )

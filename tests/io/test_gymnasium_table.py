@@ -1,0 +1,166 @@
+"""The installed Gymnasium's tables: their rules are the oracle."""
+
+import sys
+from types import SimpleNamespace
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from dead_ends.io.errors import MissingDependencyError
+from dead_ends.io.gymnasium_table import load_gymnasium
+from dead_ends.labels import classify
+
+HOLES = [5, 7, 11, 12]
+
+
+@pytest.mark.parametrize("slippery", [False, True])
+@pytest.mark.parametrize("map_name", ["4x4", "8x8"])
+def test_frozen_lake_has_no_dead_ends(slippery: bool, map_name: str) -> None:
+    arguments = {"is_slippery": slippery, "map_name": map_name}
+    model = load_gymnasium("FrozenLake-v1", arguments=arguments)
+    labelling = classify(model)
+    assert not labelling.dead.any()
+    assert not labelling.safe.all()
+    assert labelling.horizon == 0
+    assert model.is_deterministic is not slippery
+    assert model.terminal.tolist() == [False] * (model.num_states - 1) + [True]
+    if map_name == "4x4":
+        assert np.flatnonzero(model.fail).tolist() == HOLES
+
+
+def test_frozen_lake_slippery_safe_states_by_brute_force() -> None:
+    """The greatest set in which some action surely stays, from Gymnasium's own table."""
+    env = gymnasium.make("FrozenLake-v1")
+    P: Any = env.unwrapped.P
+    safe = set(range(16)) - set(HOLES)
+    while kept := {s for s in safe if any(all(t[1] in safe for t in P[s][a]) for a in range(4))}:
+        if kept == safe:
+            break
+        safe = kept
+    labelling = classify(load_gymnasium(env))
+    assert set(np.flatnonzero(labelling.safe).tolist()) == safe
+    assert labelling.at_risk.sum() == 12 - len(safe)
+
+
+def test_frozen_lake_agrees_with_its_own_table() -> None:
+    env = gymnasium.make("FrozenLake-v1")
+    model = load_gymnasium(env)
+    P: Any = env.unwrapped.P
+    kernel = model.transitions().toarray().reshape(16, 4, 16)
+    for state in set(range(16)) - set(HOLES) - {15}:
+        for action in range(4):
+            row = np.zeros(16)
+            for probability, successor, _, _ in P[state][action]:
+                row[successor] += probability
+            assert np.array_equal(kernel[state, action], row)
+    assert model.rewards is not None
+    assert model.rewards[14, 2] == pytest.approx(1 / 3)
+    assert model.initial is not None
+    assert model.initial.tolist() == [1.0] + [0.0] * 15
+    assert model.action_names == ("left", "down", "right", "up")
+    assert model.state_names is not None
+    assert model.state_names[7] == "row 1, column 3"
+    assert model.geometry is not None
+    assert model.geometry.cell[7].tolist() == [3, 1]
+
+
+@pytest.mark.parametrize("name", ["CliffWalking-v1", "CliffWalkingSlippery-v1"])
+def test_cliff_walking_has_no_dead_ends(name: str) -> None:
+    model = load_gymnasium(name)
+    labelling = classify(model)
+    assert model.num_states == 49
+    assert np.flatnonzero(model.fail).tolist() == [48]
+    assert not labelling.dead.any()
+    assert np.flatnonzero(model.terminal).tolist() == [47]
+    # The cliff's cells are states of the table though no episode enters them; who starts there
+    # walks off safely, but for a slip to the side.
+    cliff = np.arange(37, 47)
+    assert np.flatnonzero(labelling.at_risk).tolist() == (
+        [] if model.is_deterministic else cliff.tolist()
+    )
+
+
+def test_cliff_walking_violations_are_the_cliffs_edge() -> None:
+    model = load_gymnasium("CliffWalking-v1")
+    assert model.next_state is not None
+    entering = np.argwhere(model.successors() == 48).tolist()
+    # Down from the row above the cliff, right from the start, and within the cliff itself.
+    above = [[state, 2] for state in range(25, 35)]
+    assert [pair for pair in entering if pair[0] < 36] == above
+    assert [36, 1] in entering
+    assert {state for state, _ in entering} == {*range(25, 35), *range(36, 48)} - {47}
+    assert load_gymnasium("CliffWalking-v1", fail_if=lambda *row: row[2] == -100).fail[48]
+
+
+def test_taxi_loads() -> None:
+    """Its goals lie on the way of other trips: the episode ends in a state of its own."""
+    model = load_gymnasium("Taxi-v4", fail_if="r <= -10")
+    assert model.num_states == 502
+    assert np.flatnonzero(model.fail).tolist() == [500]
+    assert np.flatnonzero(model.terminal).tolist() == [501]
+    assert model.action_names is not None
+    assert model.action_names[5] == "drop off"
+    assert not classify(model).dead.any()
+
+
+def test_fail_states_replace_the_rules() -> None:
+    model = load_gymnasium("FrozenLake-v1", fail_states=[5])
+    assert np.flatnonzero(model.fail).tolist() == [5]
+    assert set(np.flatnonzero(model.terminal).tolist()) == {7, 11, 12, 15}
+    mask = np.arange(16) == 7
+    assert np.array_equal(load_gymnasium("FrozenLake-v1", fail_states=mask).fail, mask)
+    both = load_gymnasium("FrozenLake-v1", fail_states=[5], fail_if="s2 == 7")
+    assert np.flatnonzero(both.fail).tolist() == [5, 16]
+
+
+def environment(P: Any, **more: Any) -> Any:
+    return SimpleNamespace(unwrapped=SimpleNamespace(P=P, **more))
+
+
+def test_any_object_with_a_table() -> None:
+    model = load_gymnasium(
+        environment([[[(1.0, 1, 0.0, False)]], {0: [(1.0, 1, 0, True)], 2: [(1.0, 0, 0, False)]}]),
+        fail_states=[0],
+    )
+    assert model.successors().tolist() == [[-1, -1, -1], [2, -1, 0], [2, 2, 2]]
+
+
+@pytest.mark.parametrize(
+    ("P", "message"),
+    [
+        ({}, "the transition table P is empty"),
+        ({1: {0: [(1.0, 0, 0, False)]}}, "the keys of P must be 0 to 0"),
+        ({0: {-1: [(1.0, 0, 0, False)]}}, r"state 0: the keys of P\[0\] must be numbers"),
+        ({0: {0: [(0.9, 0, 0, False)]}}, "state 0, action 0: probabilities sum to 0.9, not 1"),
+        ({0: {0: [(1.0, 3, 0, False)]}}, "state 0, action 0: successor 3 does not exist"),
+    ],
+)
+def test_bad_tables(P: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        load_gymnasium(environment(P), fail_states=[])
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("FrozenLake-v99", {}, "FrozenLake-v99: .*"),
+        ("NoSuchLake-v1", {}, "NoSuchLake-v1: .*doesn't exist"),
+        ("nosuch:Lake-v1", {}, "nosuch:Lake-v1: "),
+        ("FrozenLake-v1", {"arguments": {"colour": "red"}}, "FrozenLake-v1: .*colour"),
+        ("CartPole-v1", {}, "CartPole-v1: the environment has no transition table P"),
+        ("Taxi-v4", {}, "Taxi-v4: which states fail is not known"),
+        ("FrozenLake-v1", {"fail_if": "x"}, "FrozenLake-v1: condition 'x': unknown name"),
+        ("FrozenLake-v1", {"fail_states": [16]}, "FrozenLake-v1: fail states: 16 is not"),
+    ],
+)
+def test_what_is_wrong_is_said(name: str, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        load_gymnasium(name, **options)
+
+
+def test_without_gymnasium(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    with pytest.raises(MissingDependencyError, match=r"gymnasium: pip install 'dead-ends\[gym\]'"):
+        load_gymnasium("FrozenLake-v1")
