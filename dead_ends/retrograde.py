@@ -26,7 +26,7 @@ This module imports numba, so it is imported when a model is first solved.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numba import njit
@@ -54,9 +54,8 @@ DEAD, FAIL, SAFE = int(Label.DEAD), int(Label.FAIL), int(Label.SAFE)
 
 
 def compiled(function: Function) -> Function:
-    """The function compiled by numba when first called, and cached on disk."""
-    result: Function = njit(cache=True)(function)
-    return result
+    """The function, compiled by numba when it is first called and cached on disk."""
+    return cast(Function, njit(cache=True)(function))
 
 
 def survival_times(model: SafeMDP) -> Indices:
@@ -97,34 +96,6 @@ def _set(bits: Bits, index: int) -> None:
 
 
 @compiled
-def _watch(
-    state: int,
-    successors: Indices,
-    start: int,
-    stop: int,
-    time: Indices,
-    dead: Bits,
-    heads: Indices,
-    links: Indices,
-) -> bool:
-    """Watch the next successor that survives; False if there is none and the state dies."""
-    for place in range(start - 1 - time[state], stop):
-        successor = successors[place]
-        if successor >= 0 and not _is_set(dead, successor):
-            time[state] = -1 - (place - start)
-            links[state] = heads[successor]
-            heads[successor] = state
-            return True
-    longest = np.int32(0)
-    for place in range(start, stop):
-        if successors[place] >= 0:
-            longest = max(longest, time[successors[place]])
-    time[state] = longest + 1
-    _set(dead, state)
-    return False
-
-
-@compiled
 def _survival(
     successors: Indices, num_actions: int, indptr: Offsets | None, fail: Mask, terminal: Mask
 ) -> Indices:
@@ -138,27 +109,46 @@ def _survival(
         if fail[state]:
             time[state] = 0
             _set(dead, state)
-    waiting = np.int32(-1)  # the stack of dead states that somebody watches
-    for state in range(count):
-        if fail[state] or terminal[state]:
+    # One loop looks at a state at a time, so that its body is written (and inlined) once:
+    # every state in turn, then the watchers of each state that died, until nobody waits.
+    fresh, watcher, waiting = 0, np.int32(-1), np.int32(-1)
+    while True:
+        if fresh < count:
+            state = fresh
+            fresh += 1
+            if fail[state] or terminal[state]:
+                continue
+        elif watcher >= 0:
+            state = int(watcher)
+            watcher = links[state]
+        elif waiting >= 0:
+            watcher = heads[waiting]
+            waiting = links[waiting]
             continue
+        else:
+            break
         start, stop = _row(state, num_actions, indptr)
-        if not _watch(state, successors, start, stop, time, dead, heads, links):
-            # A dead state gains no watchers: without any, nobody needs to be told.
-            if heads[state] >= 0:
-                links[state] = waiting
-                waiting = np.int32(state)
-    while waiting >= 0:
-        watcher = heads[waiting]
-        waiting = links[waiting]
-        while watcher >= 0:
-            following = links[watcher]
-            start, stop = _row(watcher, num_actions, indptr)
-            if not _watch(watcher, successors, start, stop, time, dead, heads, links):
-                if heads[watcher] >= 0:
-                    links[watcher] = waiting
-                    waiting = watcher
-            watcher = following
+        survivor = np.int32(-1)
+        for place in range(start - 1 - time[state], stop):
+            successor = successors[place]
+            if successor >= 0 and not _is_set(dead, successor):
+                survivor = successor
+                time[state] = start - 1 - place
+                break
+        if survivor >= 0:
+            links[state] = heads[survivor]
+            heads[survivor] = state
+            continue
+        longest = np.int32(0)
+        for place in range(start, stop):
+            if successors[place] >= 0:
+                longest = max(longest, time[successors[place]])
+        time[state] = longest + 1
+        _set(dead, state)
+        # A dead state gains no watchers: without any, nobody needs to be told.
+        if heads[state] >= 0:
+            links[state] = waiting
+            waiting = np.int32(state)
     for state in range(count):
         if time[state] < 0:
             time[state] = INFINITE
@@ -176,7 +166,7 @@ def labels_of(time: Indices) -> tuple[NDArray[np.uint8], int]:
         else:
             labels[state] = DEAD if time[state] > 0 else FAIL
             horizon = max(horizon, time[state])
-    return labels, horizon
+    return labels, int(horizon)
 
 
 @compiled
@@ -197,15 +187,14 @@ def boundary_horizon(
     for state in range(len(labels)):
         if labels[state] < SAFE or terminal[state]:
             continue
-        if reached is not None:
-            if not reached[state]:
-                continue
+        if reached is not None and not reached[state]:
+            continue
         start, stop = _row(state, num_actions, indptr)
         for place in range(start, stop):
             successor = successors[place]
             if successor >= 0 and labels[successor] < SAFE:
                 longest = max(longest, time[successor])
-    return longest
+    return int(longest)
 
 
 @compiled
@@ -231,7 +220,7 @@ def reachable(
         size += 1
     while size > 0:
         size -= 1
-        state = np.int64(stack[size])
+        state = int(stack[size])
         if fail[state] or terminal[state]:
             continue
         start, stop = _row(state, num_actions, indptr)
