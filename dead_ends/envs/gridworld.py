@@ -25,13 +25,15 @@ import numpy as np
 from dead_ends.envs.rows import Row, probability, safe_mdp_from_rows
 from dead_ends.model import Geometry, SafeMDP
 
-__all__ = ["ACTIONS", "DEFAULT_MAP", "gridworld"]
+__all__ = ["ACTIONS", "CURRENTS", "DEFAULT_MAP", "gridworld", "parse_map"]
 
 ACTIONS = ("left", "down", "right", "up")
 """In Gymnasium's order; the neighbours of an action in it are its sideways slips."""
 
 DIRECTIONS = ((0, -1), (1, 0), (0, 1), (-1, 0))
 CURRENTS = {"<": 0, "v": 1, ">": 2, "^": 3}
+"""The action that each current forces."""
+
 SYMBOLS = ".#SGL~<>^v"
 
 DEFAULT_MAP = """
@@ -63,7 +65,7 @@ def gridworld(text: str | Sequence[str] = DEFAULT_MAP, slip: float | Fraction = 
             from 0), or a slip outside [0, 1].
     """
     slip_probability = probability("slip", slip)
-    grid = _parse(text)
+    grid = parse_map(text)
     cells = [cell for cell, symbol in grid.items() if symbol != "#"]
     number = {cell: state for state, cell in enumerate(cells)}
     symbols = np.array([grid[cell] for cell in cells])
@@ -81,8 +83,8 @@ def gridworld(text: str | Sequence[str] = DEFAULT_MAP, slip: float | Fraction = 
     )
 
 
-def _parse(text: str | Sequence[str]) -> dict[Cell, str]:
-    """The symbol of each cell of the map, row by row."""
+def parse_map(text: str | Sequence[str]) -> dict[Cell, str]:
+    """The symbol of each cell (row, column) of a map, row by row; see :func:`gridworld`."""
     lines = inspect.cleandoc(text).splitlines() if isinstance(text, str) else list(text)
     if not lines or not lines[0]:
         raise ValueError("the map is empty")
