@@ -63,6 +63,17 @@ def exact_data(kernel: Csr, name: NamePair) -> tuple[Fraction, ...]:
     return data
 
 
+def select_rows(
+    kernel: Csr, exact: tuple[Fraction, ...] | None, rows: NDArray[np.integer[Any]]
+) -> tuple[Csr, tuple[Fraction, ...] | None]:
+    """The kernel whose row i is row ``rows[i]`` of the given one, and its exact data."""
+    selected = _freeze(kernel[rows])
+    if exact is None:
+        return selected, None
+    spans = zip(kernel.indptr[rows], kernel.indptr[rows + 1], strict=True)
+    return selected, tuple(p for start, stop in spans for p in exact[start:stop])
+
+
 def _build_exact(
     P: NDArray[np.object_],
     available: NDArray[np.bool_],

@@ -1,0 +1,173 @@
+"""Behavior correction (behavior_correction in the paper) and the closed loop it makes.
+
+    a = a_task    if Q(s, a_task) < epsilon_safe,
+        a_rec     otherwise.
+
+The corrected model is the task as the agent sees it behind the correction: an agent that
+proposes a in s moves as the executed action does,
+
+    next'(s, a) = next(s, a)  if a is allowed in s, else next(s, rec(s)),
+
+and earns r(s, executed action). Everything in this package applies to it again.
+
+With Q = Q*, rec greedy on Q* and 0 < epsilon_safe <= gamma_safe**H_b, no agent leaves S_safe
+in a deterministic corrected model (Theorem 2; H_b is the boundary horizon). With the critic
+of a task policy, Q^pi_task, and recovery greedy on it (RRL), it may: see tests.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dead_ends.model import SafeMDP
+from dead_ends.policies import (
+    Critic,
+    allowed_actions,
+    checked_policy,
+    critic_table,
+    recovery_policy,
+)
+from dead_ends.policy_input import as_distribution
+
+__all__ = ["behavior_correction", "corrected_model"]
+
+
+def behavior_correction(
+    policy: ArrayLike, Q: Critic, epsilon_safe: float | Fraction, recovery: ArrayLike
+) -> NDArray[Any]:
+    """The policy that is executed when a task policy's proposals are corrected.
+
+    Args:
+        policy: the task policy, int (S,) or float or Fraction (S, A).
+        Q: the safety critic (S, A).
+        epsilon_safe: actions with Q(s, a) < epsilon_safe pass.
+        recovery: the recovery policy, in either form; independent of the task policy's draw.
+
+    Returns:
+        int (S,) if both policies are; else (S, A), where the probability of the blocked
+        actions has moved to the recovery policy's actions. Fail states have no actions: their
+        rows follow the recovery policy like any blocked row.
+
+    Raises:
+        ValueError: as :func:`dead_ends.allowed_actions`; if shapes do not fit; if the
+            recovery policy is needed and takes an action that is not available (Q = +inf).
+    """
+    allowed = allowed_actions(Q, epsilon_safe)
+    table = critic_table(Q)
+    task = checked_policy(policy, table)
+    rec = checked_policy(recovery, table, "recovery")
+    if task.ndim == 1 and rec.ndim == 1:
+        states = np.arange(len(table))
+        _check_recovery(~allowed[states, task], rec, table)
+        return np.where(allowed[states, task], task, rec)
+    shares, rec_shares = (as_distribution(each, allowed.shape[1]) for each in (task, rec))
+    passing = np.where(allowed, shares, 0)
+    blocked = np.where(allowed, 0, shares).sum(axis=1, keepdims=True)
+    _check_recovery(blocked[:, 0] > 0, rec_shares, table)
+    return np.asarray(passing + blocked * rec_shares)
+
+
+def corrected_model(
+    model: SafeMDP,
+    Q: Critic,
+    epsilon_safe: float | Fraction,
+    recovery: ArrayLike | None = None,
+) -> SafeMDP:
+    """The closed loop of behavior correction, as a model with the same actions.
+
+    Args:
+        model: the model.
+        Q: the safety critic (S, A).
+        epsilon_safe: actions with Q(s, a) < epsilon_safe pass.
+        recovery: int (S,), the action executed instead of a blocked one; None takes
+            ``recovery_policy(Q)``.
+
+    Returns:
+        A model in which action a means "propose a". Actions that are not available in
+        ``model`` cannot be proposed and stay unavailable. A deterministic model stays one,
+        exact probabilities stay exact; rewards are those of the executed actions. Names,
+        initial states, goals and geometry are kept.
+
+    Raises:
+        ValueError: as :func:`dead_ends.allowed_actions`; if shapes do not fit; if the
+            recovery policy is needed in a state where its action is not available.
+    """
+    allowed = allowed_actions(Q, epsilon_safe)
+    if allowed.shape != (model.num_states, model.num_actions):
+        raise ValueError(
+            f"Q must have shape ({model.num_states}, {model.num_actions}), not {allowed.shape}"
+        )
+    rec = recovery_policy(Q) if recovery is None else _recovery_indices(recovery, model)
+    executed = _executed(model, allowed, rec)
+    rewards = None
+    if model.rewards is not None:
+        rewards = _read_only(np.take_along_axis(model.rewards, executed, axis=1))
+    if model.next_state is not None:
+        table = np.take_along_axis(model.next_state, executed, axis=1)
+        return replace(model, next_state=_read_only(table), rewards=rewards)
+    from dead_ends.kernel import select_rows
+
+    assert model.kernel is not None
+    states = np.arange(model.num_states, dtype=np.int64)[:, None]
+    rows = (states * model.num_actions + executed).ravel()
+    kernel, exact = select_rows(model.kernel, model.exact, rows)
+    return replace(model, kernel=kernel, exact=exact, rewards=rewards)
+
+
+def _executed(
+    model: SafeMDP, allowed: NDArray[np.bool_], rec: NDArray[np.integer[Any]]
+) -> NDArray[np.integer[Any]]:
+    """int (S, A): the action executed when a is proposed in s; a itself if it is not available.
+
+    In terminal states too: the episode is over, and their rows stay as they are.
+    """
+    corrected = model.available & ~allowed & ~model.terminal[:, None]
+    needed = np.flatnonzero(corrected.any(axis=1))
+    missing = needed[~model.available[needed, rec[needed]]]
+    if len(missing):
+        state = int(missing[0])
+        raise ValueError(
+            f"{model.state_name(state)}: the recovery policy takes "
+            f"{model.action_name(int(rec[state]))}, which is not available there"
+        )
+    proposed = np.arange(model.num_actions, dtype=rec.dtype)[None, :]
+    return np.where(corrected, rec[:, None], proposed)
+
+
+def _recovery_indices(recovery: ArrayLike, model: SafeMDP) -> NDArray[np.integer[Any]]:
+    rec = np.asarray(recovery)
+    if rec.shape != (model.num_states,) or not np.issubdtype(rec.dtype, np.integer):
+        raise ValueError(
+            f"recovery must be integers of shape ({model.num_states},), "
+            f"not {rec.dtype} of shape {rec.shape}"
+        )
+    bad = np.flatnonzero((rec < 0) | (rec >= model.num_actions))
+    if len(bad):
+        raise ValueError(
+            f"recovery: {model.state_name(int(bad[0]))}: action {rec[bad[0]]} is not one of "
+            f"0 to {model.num_actions - 1}"
+        )
+    return rec
+
+
+def _check_recovery(needed: NDArray[np.bool_], recovery: NDArray[Any], table: NDArray[Any]) -> None:
+    """Where a recovery policy is needed and there is an action at all, it takes available ones."""
+    unavailable = np.asarray(table == np.inf, dtype=np.bool_)
+    taken = as_distribution(recovery, table.shape[1]) > 0
+    needed = np.asarray(needed & ~unavailable.all(axis=1))
+    bad = np.argwhere(needed[:, None] & taken & unavailable)
+    if len(bad):
+        state, action = bad[0]
+        raise ValueError(
+            f"recovery: state {state}, action {action} is not available there (Q = +inf)"
+        )
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    array.flags.writeable = False
+    return array
