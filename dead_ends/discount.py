@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from dead_ends.conventions import CriticConvention, ValueConvention
 from dead_ends.results import INFINITE
 
-__all__ = ["Discount", "Powers", "power_table", "read_discount"]
+__all__ = ["Discount", "Powers", "power", "power_table", "read_discount"]
 
 Discount = float | Fraction
 SMALLEST = math.ulp(0.0)
@@ -80,34 +80,37 @@ class Powers:
         return cls(v, k, j if fail_value else None, fail_value)
 
 
+def power(gamma: Discount, n: int) -> Discount:
+    """gamma**n as Python calculates it, so that equal n give equal results; never 0."""
+    return gamma**n if isinstance(gamma, Fraction) else max(gamma**n, SMALLEST)
+
+
 def power_table(
     gamma: Discount, exponents: NDArray[np.int64]
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """gamma**n with a lower and an upper bound, for every exponent; ``INFINITE`` gives 0.
+    """:func:`power` with a lower and an upper bound, for every exponent; ``INFINITE`` gives 0.
 
-    For a float gamma the power is Python's ``gamma**n`` (so that equal exponents give equal
-    floats), or the least positive float where that is 0. The bounds enclose g**n for every
-    real g that rounds to gamma; gamma = 1 means 1. For a Fraction all three are exact.
+    The bounds enclose g**n for every real g that rounds to gamma; gamma = 1 means 1. For a
+    Fraction all three are exact.
     """
     unique, index = np.unique(exponents, return_inverse=True)
-    triples = [_power(gamma, int(n)) for n in unique]
+    triples = [_enclosed_power(gamma, int(n)) for n in unique]
     kind = object if isinstance(gamma, Fraction) else np.float64
-    columns = (np.array([triple[i] for triple in triples], dtype=kind)[index] for i in range(3))
-    estimate, lower, upper = columns
+    estimate, lower, upper = (
+        np.array([triple[i] for triple in triples], dtype=kind)[index] for i in range(3)
+    )
     return estimate, lower, upper
 
 
-def _power(gamma: Discount, n: int) -> tuple[Discount, Discount, Discount]:
-    if isinstance(gamma, Fraction):
-        power: Discount = gamma**n if n != INFINITE else Fraction(0)
-        return power, power, power
+def _enclosed_power(gamma: Discount, n: int) -> tuple[Discount, Discount, Discount]:
     if n == INFINITE:
-        return 0.0, 0.0, 0.0
-    if n == 0 or gamma == 1:
-        return 1.0, 1.0, 1.0
-    power = max(gamma**n, SMALLEST)
+        zero = Fraction(0) if isinstance(gamma, Fraction) else 0.0
+        return zero, zero, zero
+    estimate = power(gamma, n)
+    if isinstance(gamma, Fraction) or n == 0 or gamma == 1:
+        return estimate, estimate, estimate
     # (1 +- u)**n for gamma itself, at most 2u for pow, 2u for these two lines; u = 2**-53.
     error = (n + 4) * 2.0**-53
-    lower = max(math.nextafter(power * (1 - error), 0.0) - SMALLEST, 0.0)
-    upper = min(math.nextafter(power * (1 + 2 * error), 2.0) + SMALLEST, 1.0)
-    return power, lower, upper
+    lower = max(math.nextafter(estimate * (1 - error), 0.0) - SMALLEST, 0.0)
+    upper = min(math.nextafter(estimate * (1 + 2 * error), 2.0) + SMALLEST, 1.0)
+    return estimate, lower, upper

@@ -34,13 +34,13 @@ CONSTANT_OPERATIONS = 8
 with a constant, the outward factor itself, and three to spare."""
 
 
-def shrink(value: Float, operations: Float | int) -> Float:
+def shrink(value: Float, operations: Float | float) -> Float:
     """A lower bound of what ``value`` is after that many operations."""
     result: Float = np.maximum(value * (1 - operations * UNIT) - operations * TINY, 0.0)
     return result
 
 
-def grow(value: Float, operations: Float | int) -> Float:
+def grow(value: Float, operations: Float | float) -> Float:
     """An upper bound of what ``value`` is after that many operations."""
     result: Float = value * (1 + 2 * operations * UNIT) + operations * TINY
     return result
