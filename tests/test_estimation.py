@@ -1,0 +1,222 @@
+"""Models estimated from logged transitions: what data and guesses make of the labels."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from dead_ends.envs.brake import BrakeLattice, brake
+from dead_ends.estimation import Unseen, estimate_model
+from dead_ends.labels import classify
+from dead_ends.methods import conservatism, rrl_msdp
+from dead_ends.model import SafeMDP
+
+F = Fraction
+
+FAIL = np.array([False, False, False, True])
+# 0 -> 1 or 2; 1 stays; 2 -> fail.
+DATA = np.array([[0, 0, 1], [0, 1, 2], [1, 0, 1], [2, 0, 3], [0, 0, 1]])
+
+
+def log_of(model: SafeMDP) -> NDArray[np.int64]:
+    """Every transition of a deterministic model once."""
+    table = model.successors()
+    return np.array([(s, a, table[s, a]) for s, a in np.argwhere(table >= 0)])
+
+
+def test_what_was_tried_is_known_and_the_rest_is_guessed() -> None:
+    pessimistic = estimate_model(4, 2, DATA, FAIL)
+    assert pessimistic.is_deterministic
+    assert pessimistic.successors().tolist() == [[1, 2], [1, 3], [3, 3], [-1, -1]]
+    optimistic = estimate_model(4, 2, DATA, FAIL, Unseen.OPTIMISTIC)
+    assert optimistic.successors().tolist() == [[1, 2], [1, 1], [3, 2], [-1, -1]]
+    # State 2 is dead in truth, if its other action leads to failure too: the optimist errs.
+    assert classify(pessimistic).safe.tolist() == [True, True, False, False]
+    assert classify(optimistic).safe.tolist() == [True, True, True, False]
+
+
+def test_without_data_everything_is_guessed() -> None:
+    for none in (np.zeros((0, 3), dtype=np.int64), []):
+        assert classify(estimate_model(4, 2, none, FAIL)).dead.tolist() == [True] * 3 + [False]
+        optimistic = estimate_model(4, 2, none, FAIL, "optimistic", rewards=[])
+        assert classify(optimistic).safe.tolist() == [True] * 3 + [False]
+        assert optimistic.rewards is not None
+        assert not optimistic.rewards.any()
+
+
+def test_actions_that_do_not_exist_are_not_guessed() -> None:
+    available = np.array([[True, True], [True, False], [True, False], [False, False]])
+    for unseen in Unseen:
+        model = estimate_model(4, 2, DATA, FAIL, unseen, available=available)
+        assert model.successors().tolist() == [[1, 2], [1, -1], [3, -1], [-1, -1]]
+
+
+def test_an_end_that_is_no_failure_is_a_goal() -> None:
+    data = np.array([[0, 0, 1], [0, 1, 3], [2, 0, 2]])
+    ended = np.array([True, True, False])
+    for deterministic in (True, False):
+        model = estimate_model(4, 2, data, FAIL, terminated=ended, deterministic=deterministic)
+        assert model.terminal.tolist() == [False, True, False, False]
+        assert classify(model).safe.tolist() == [True, True, True, False]
+
+
+def test_frequencies_are_exact() -> None:
+    data = np.array([[0, 0, 1]] * 2 + [[0, 0, 3]] + [[0, 1, 0]] + [[1, 1, 2]] * 7)
+    ended = data[:, 2] == 2
+    model = estimate_model(4, 2, data, FAIL, deterministic=False, terminated=ended)
+    P = model.transitions().toarray().reshape(4, 2, 4)
+    assert P[0, 0].tolist() == [0, 2 / 3, 0, 1 / 3]
+    assert P[0, 1].tolist() == [1, 0, 0, 0]
+    assert P[1, 0].tolist() == [0, 0, 0, 1]  # never tried
+    assert P[1, 1].tolist() == P[2, 0].tolist() == P[2, 1].tolist() == [0, 0, 1, 0]
+    assert model.exact == (F(2, 3), F(1, 3), F(1), F(1), F(1), F(1), F(1))
+    assert model.exact_probabilities() is model.exact
+    assert [float(p) for p in model.exact] == model.transitions().data.tolist()
+    optimistic = estimate_model(
+        4, 2, data, FAIL, "optimistic", deterministic=False, terminated=ended
+    )
+    assert optimistic.transitions().toarray().reshape(4, 2, 4)[1, 0].tolist() == [0, 1, 0, 0]
+
+
+def test_rewards_are_averaged_and_guessed() -> None:
+    rewards = [1.0, 5.0, -2.0, 0.0, 2.0]
+    for unseen, guess in ((Unseen.PESSIMISTIC, -2.0), (Unseen.OPTIMISTIC, 5.0)):
+        model = estimate_model(4, 2, DATA, FAIL, unseen, rewards=rewards, initial=[0])
+        assert model.rewards is not None
+        assert model.rewards.tolist() == [[1.5, 5.0], [-2.0, guess], [0.0, guess], [0.0, 0.0]]
+        assert model.initial is not None
+        assert model.initial.tolist() == [1, 0, 0, 0]
+
+
+@st.composite
+def models_with_nested_data(draw: st.DrawFn) -> tuple[SafeMDP, list[NDArray[np.int64]]]:
+    """A deterministic model and two growing parts of its log."""
+    n, m = draw(st.integers(2, 6)), draw(st.integers(1, 3))
+    rows = st.lists(st.integers(0, n - 1), min_size=m, max_size=m)
+    table = np.array(draw(st.lists(rows, min_size=n, max_size=n)), dtype=np.int32)
+    model = SafeMDP.deterministic(table, np.arange(n) >= draw(st.integers(1, n - 1)))
+    log = log_of(model)
+    order = np.array(draw(st.permutations(range(len(log)))))
+    sizes = sorted(draw(st.tuples(*[st.integers(0, len(log))] * 2)))
+    return model, [log[order[:size]] for size in sizes]
+
+
+@settings(deadline=None)  # the first labelling compiles
+@given(models_with_nested_data())
+def test_the_pessimist_is_never_wrong_and_learns(
+    case: tuple[SafeMDP, list[NDArray[np.int64]]],
+) -> None:
+    model, parts = case
+    truth = classify(model).safe
+    shape = (model.num_states, model.num_actions)
+    some, more = (classify(estimate_model(*shape, part, model.fail)).safe for part in parts)
+    assert not (some & ~more).any()
+    assert not (more & ~truth).any()
+    hopes = [
+        classify(estimate_model(*shape, part, model.fail, "optimistic")).safe for part in parts
+    ]
+    assert not (hopes[1] & ~hopes[0]).any()
+    assert not (truth & ~hopes[1]).any()
+    for unseen in Unseen:
+        complete = estimate_model(*shape, log_of(model), model.fail, unseen)
+        assert np.array_equal(complete.successors(), model.successors())
+
+
+def test_conservatism_shrinks_as_coverage_grows_on_the_brake() -> None:
+    """Pessimists block what they do not know; optimists let the dead-ends through."""
+    model = brake(BrakeLattice(max_distance=60, max_speed=8, max_braking=2, max_acceleration=2))
+    log = np.random.default_rng(0).permutation(log_of(model))
+    blocked, missed = [], []
+    for share in (0.25, 0.5, 0.75, 1.0):
+        data = log[: int(share * len(log))]
+        for unseen, counts in ((Unseen.PESSIMISTIC, blocked), (Unseen.OPTIMISTIC, missed)):
+            estimate = estimate_model(model.num_states, model.num_actions, data, model.fail, unseen)
+            result = conservatism(model, rrl_msdp(estimate).critic, 0.99**3.5)
+            counts.append(result)
+    shares = [each.blocked_safe_actions_share for each in blocked]
+    assert shares == sorted(shares, reverse=True)
+    assert shares[0] > 0.5
+    assert shares[-1] == 0
+    assert [each.missed_unsafe_actions for each in blocked] == [0] * 4
+    lets_through = [each.missed_unsafe_actions for each in missed]
+    assert lets_through == sorted(lets_through, reverse=True)
+    assert lets_through[0] > 0
+    assert lets_through[-1] == 0
+    assert [each.blocked_safe_actions for each in missed] == [0] * 4
+
+
+def test_where_frequencies_hide_a_risk_the_pessimist_errs_too() -> None:
+    fail = np.array([False, True])
+    data = [[0, 0, 0]] * 5  # in truth it fails now and then
+    model = estimate_model(2, 1, data, fail, deterministic=False)
+    assert classify(model).safe.tolist() == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"transitions": [[0, 0, 1], [0, 0, 2]]},
+            r"state 0, action 0 leads to state 1 \(transition 0\) and to state 2; "
+            r"use deterministic=False",
+        ),
+        ({"transitions": [[0, 0, 1], [4, 0, 1]]}, r"transition 1: state 4 is not one of 0 to 3"),
+        ({"transitions": [[0, 2, 1]]}, r"transition 0: action 2 is not one of 0 to 1"),
+        ({"transitions": [[0, 0, -1]]}, r"transition 0: successor -1 is not one of 0 to 3"),
+        (
+            {"transitions": [[0, 0, 1], [3, 0, 1]]},
+            r"transition 1: starts in fail state 3, where the episode has ended",
+        ),
+        (
+            {"transitions": [[0, 0, 1], [1, 0, 1]], "terminated": np.array([True, False])},
+            r"transition 1: starts in terminal state 1, where the episode has ended",
+        ),
+        (
+            {"available": np.array([[False, True]] * 4)},
+            r"transition 0: action 0 is not available in state 0",
+        ),
+        (
+            {"transitions": [[0.0, 0.0, 1.0]]},
+            r"transitions must be integers of shape \(N, 3\), a row \(s, a, s'\) each, not "
+            r"float64 of shape \(1, 3\)",
+        ),
+        ({"transitions": [[0, 0]]}, r"transitions must be integers of shape \(N, 3\).*"),
+        ({"rewards": [1.0]}, r"rewards must have shape \(5,\), not \(1,\)"),
+        ({"rewards": [1.0, math.nan, 0, 0, 0]}, r"transition 1: reward nan is not finite"),
+        (
+            {"terminated": np.array([1, 0, 0, 0, 0])},
+            r"terminated must be a boolean mask of shape \(5,\), not int64 of shape \(5,\)",
+        ),
+        ({"fail": FAIL[:2]}, r"fail must be a boolean mask of shape \(4,\), not bool of .*"),
+        (
+            {"fail": np.zeros(4, dtype=np.bool_)},
+            r"state 1, action 1 was never tried, and no state is marked in `fail` for it to "
+            r"lead to; add a fail state, or take unseen actions optimistically",
+        ),
+        ({"num_states": 0}, r"a model needs at least one state and one action, not 0 and 2"),
+        ({"unseen": "hopeful"}, r"'hopeful' is not a valid Unseen"),
+    ],
+)
+def test_bad_logs_are_named(changes: dict[str, Any], message: str) -> None:
+    arguments: dict[str, Any] = {
+        "num_states": 4,
+        "num_actions": 2,
+        "transitions": DATA,
+        "fail": FAIL,
+        **changes,
+    }
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        estimate_model(**arguments)
+
+
+def test_no_fail_state_is_needed_where_nothing_is_guessed() -> None:
+    data = np.array([[0, 0, 0], [0, 1, 0]])
+    model = estimate_model(1, 2, data, np.array([False]))
+    assert classify(model).safe.tolist() == [True]
