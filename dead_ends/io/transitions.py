@@ -165,7 +165,7 @@ def _expected_rewards(transitions: Transitions) -> NDArray[np.float64] | None:
     row = transitions.source * transitions.num_actions + transitions.action
     weights = transitions.probability.astype(np.float64) * transitions.reward
     rows = transitions.num_states * transitions.num_actions
-    total: NDArray[np.float64] = np.bincount(row, weights, rows)
+    total = np.bincount(row, weights, rows).astype(np.float64)
     return total.reshape(transitions.num_states, transitions.num_actions)
 
 

@@ -1,0 +1,120 @@
+"""The arguments by which every command is told its model."""
+
+from __future__ import annotations
+
+import argparse
+import ast
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dead_ends.model import SafeMDP
+
+MAX_LISTED_STATES = 10_000_000
+
+
+def add_source_arguments(parser: argparse.ArgumentParser) -> None:
+    """FILE and the options that say what the file does not."""
+    parser.add_argument(
+        "file", metavar="FILE", help="a model (.npz, ...) or a Gymnasium environment id"
+    )
+    group = parser.add_argument_group("which states fail, where the model does not say it")
+    group.add_argument("--fail-label", metavar="NAME", help="the label of the fail states")
+    group.add_argument(
+        "--fail-states", metavar="STATES", type=parse_states, help="such as 5,7,11-12"
+    )
+    group.add_argument(
+        "--fail-if",
+        metavar="CONDITION",
+        help="transitions that fail, a condition on s, a, r, s2 and done, such as 'r <= -100'",
+    )
+    parser.add_argument(
+        "--env-arg",
+        metavar="KEY=VALUE",
+        type=parse_argument,
+        action="append",
+        help="an argument of the environment, such as is_slippery=False; may be repeated",
+    )
+
+
+def read_source(arguments: argparse.Namespace) -> SafeMDP:
+    """The model that the arguments name."""
+    from dead_ends.io import load_model
+
+    return load_model(
+        arguments.file,
+        fail_label=arguments.fail_label,
+        fail_states=arguments.fail_states,
+        fail_if=arguments.fail_if,
+        arguments=dict(arguments.env_arg) if arguments.env_arg else None,
+    )
+
+
+def add_discount_argument(parser: argparse.ArgumentParser) -> None:
+    """--gamma-safe."""
+    parser.add_argument(
+        "--gamma-safe",
+        metavar="GAMMA",
+        type=parse_discount,
+        default=0.99,
+        help="the discount of the cost, as 0.99 or 99/100 (default: %(default)s)",
+    )
+
+
+def parse_discount(text: str) -> float | Fraction:
+    """A discount in (0, 1]; a fraction keeps what follows exact."""
+    try:
+        value = Fraction(text) if "/" in text else float(text)
+    except (ValueError, ZeroDivisionError):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number") from None
+    if not 0 < value <= 1:
+        raise argparse.ArgumentTypeError(f"{text} is not in (0, 1]")
+    return value
+
+
+def parse_states(text: str) -> list[int]:
+    """Numbers of states such as ``5,7,11-12``."""
+    states: list[int] = []
+    for part in text.split(","):
+        first, dash, last = part.strip().partition("-")
+        if not first.isdecimal() or (dash and not last.isdecimal()):
+            raise argparse.ArgumentTypeError(f"'{part}' is neither a state nor a range of states")
+        numbers = range(int(first), int(last if dash else first) + 1)
+        if len(numbers) > MAX_LISTED_STATES:
+            raise argparse.ArgumentTypeError(f"'{part}' are too many states to list")
+        states += numbers
+    return states
+
+
+def parse_argument(text: str) -> tuple[str, Any]:
+    """``KEY=VALUE``; a value that is no Python literal is a string."""
+    key, equals, value = text.partition("=")
+    if not equals or not key.isidentifier():
+        raise argparse.ArgumentTypeError(f"'{text}' is not of the form KEY=VALUE")
+    try:
+        return key, ast.literal_eval(value)
+    except (ValueError, SyntaxError):
+        return key, value
+
+
+def find_state(model: SafeMDP, text: str) -> int:
+    """The state with this name, or else with this number.
+
+    Raises:
+        ValueError: if there is no such state.
+    """
+    if model.state_names is not None and text in model.state_names:
+        return model.state_names.index(text)
+    if text.isdecimal() and int(text) < model.num_states:
+        return int(text)
+    named = "" if model.state_names is None else " and no state has that name"
+    raise ValueError(f"state {text}: states are numbered 0 to {model.num_states - 1}{named}")
+
+
+def print_rows(rows: Sequence[tuple[str, Any]]) -> None:
+    """Names and values in two columns."""
+    width = max(len(name) for name, _ in rows)
+    for name, value in rows:
+        text = f"{value:,}" if isinstance(value, int) else str(value)
+        print(f"  {name:<{width}}  {text}")

@@ -1,0 +1,126 @@
+"""One door for all formats: the suffix, or an environment id, says which reader is meant."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from dead_ends.io.transitions import Condition
+from dead_ends.model import SafeMDP
+
+__all__ = ["ModelOptions", "load_model", "save_model"]
+
+_ENVIRONMENT_ID = re.compile(r"([\w.]+:)?([\w.-]+/)?[\w.-]+-v\d+")
+
+
+@dataclass(frozen=True)
+class ModelOptions:
+    """What a source cannot say by itself. A reader refuses options that mean nothing to it.
+
+    Attributes:
+        fail_label: the label of the fail states, in formats with labels.
+        fail_states: a mask (S,) or numbers of states.
+        fail_if: a condition on (s, a, r, s'); see :mod:`dead_ends.io.condition`.
+        arguments: for making an environment.
+    """
+
+    fail_label: str | None = None
+    fail_states: ArrayLike | None = None
+    fail_if: Condition | None = None
+    arguments: Mapping[str, Any] | None = None
+
+    def reject(self, source: str, *names: str) -> None:
+        """Raise a ValueError if one of the named options is given."""
+        for name in names:
+            if getattr(self, name) is not None:
+                option = "--" + ("env-arg" if name == "arguments" else name.replace("_", "-"))
+                raise ValueError(
+                    f"{source}: {name} ({option}) means nothing for this kind of model"
+                )
+
+
+def load_model(
+    source: Any,
+    *,
+    fail_label: str | None = None,
+    fail_states: ArrayLike | None = None,
+    fail_if: Condition | None = None,
+    arguments: Mapping[str, Any] | None = None,
+) -> SafeMDP:
+    """The model in a file, or of a Gymnasium environment.
+
+    Args:
+        source: a path whose suffix says the format, an environment id such as
+            "FrozenLake-v1", or an environment.
+        fail_label, fail_states, fail_if, arguments: see :class:`ModelOptions`.
+
+    Raises:
+        ValueError: naming the file, and the place in it where something is wrong.
+        OSError: if the file cannot be read.
+        MissingDependencyError: if a package that the format needs is not installed.
+    """
+    options = ModelOptions(fail_label, fail_states, fail_if, arguments)
+    if not isinstance(source, str | os.PathLike):
+        return _load_environment(source, options)
+    path = Path(source)
+    reader = _READERS.get(path.suffix.lower())
+    if reader is not None:
+        return reader(path, options)
+    name = os.fspath(source)
+    if not path.exists() and _ENVIRONMENT_ID.fullmatch(name):
+        return _load_environment(name, options)
+    if not path.exists() and not path.suffix:
+        raise ValueError(f"{name}: neither a file nor an environment id such as FrozenLake-v1")
+    raise ValueError(
+        f"{name}: unknown format '{path.suffix}' (known: {', '.join(_READERS)}, "
+        "or an environment id such as FrozenLake-v1)"
+    )
+
+
+def save_model(path: str | os.PathLike[str], model: SafeMDP) -> None:
+    """Write a model in the format of the path's suffix.
+
+    Raises:
+        ValueError: if the format is unknown, cannot hold the model, or the folder does not
+            exist.
+        OSError: if the file cannot be written; then nothing is left behind.
+    """
+    writer = _WRITERS.get(Path(path).suffix.lower())
+    if writer is None:
+        raise ValueError(f"{path}: models are written as {', '.join(_WRITERS)}")
+    writer(path, model)
+
+
+def _load_environment(environment: Any, options: ModelOptions) -> SafeMDP:
+    from dead_ends.io.gymnasium_table import load_gymnasium
+
+    options.reject(str(environment), "fail_label")
+    return load_gymnasium(
+        environment,
+        fail_states=options.fail_states,
+        fail_if=options.fail_if,
+        arguments=options.arguments,
+    )
+
+
+def _load_npz(path: Path, options: ModelOptions) -> SafeMDP:
+    from dead_ends.io.npz import load_npz
+
+    options.reject(str(path), "fail_label", "fail_states", "fail_if", "arguments")
+    return load_npz(path)
+
+
+def _save_npz(path: str | os.PathLike[str], model: SafeMDP) -> None:
+    from dead_ends.io.npz import save_npz
+
+    save_npz(path, model)
+
+
+_READERS: dict[str, Callable[[Path, ModelOptions], SafeMDP]] = {".npz": _load_npz}
+_WRITERS: dict[str, Callable[[str | os.PathLike[str], SafeMDP], None]] = {".npz": _save_npz}

@@ -1,0 +1,334 @@
+"""The command line: what it prints, and what it says when something is wrong."""
+
+import csv
+import json
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dead_ends.cli.source
+from dead_ends import __version__
+from dead_ends.__main__ import main
+from dead_ends.io import load_model
+from dead_ends.labels import classify
+
+PYTHON = [sys.executable, "-m", "dead_ends"]
+
+
+@pytest.fixture
+def corridor(tmp_path: Path) -> str:
+    """State 0 may stay or enter 1 -> 2 -> fail."""
+    path = tmp_path / "corridor.npz"
+    names = ["door", "hall", "edge", "pit"]
+    table = [[0, 1], [2, 2], [3, 3], [-1, -1]]
+    np.savez(path, next_state=table, fail=np.arange(4) == 3, state_names=names)
+    return str(path)
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    try:
+        status = main(arguments)
+    except SystemExit as error:
+        status = int(error.code or 0)
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def fails(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """The one line on standard error."""
+    status, out, err = run(capsys, *arguments)
+    assert (status, out) == (2, ""), err
+    assert err.endswith("\n")
+    assert err.count("\n") == 1
+    assert "Traceback" not in err
+    return err
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(capsys, "--version") == (0, f"dead-ends {__version__}\n", "")
+
+
+def test_label_says_the_numbers(capsys: pytest.CaptureFixture[str], corridor: str) -> None:
+    status, out, err = run(capsys, "label", corridor)
+    assert (status, err) == (0, "")
+    lines = [line.split() for line in out.splitlines()]
+    assert ["states", "4"] in lines
+    assert ["fail", "1"] in lines
+    assert ["dead", "2"] in lines
+    assert ["safe", "1"] in lines
+    assert ["horizon", "H", "2"] in lines
+    assert ["boundary", "horizon", "H_b", "2"] in lines
+    assert f"0 < epsilon_safe <= gamma_safe**2 = {0.99**2!r}, for example 0.975187187108" in out
+
+
+def test_label_json(capsys: pytest.CaptureFixture[str], corridor: str) -> None:
+    status, out, _ = run(capsys, "label", corridor, "--json", "--gamma-safe", "1/2")
+    summary = json.loads(out)
+    assert status == 0
+    threshold = summary.pop("threshold")
+    assert threshold.pop("recommended") == pytest.approx(0.5**2.5)
+    assert threshold == {"empty": False, "at_most": 0.25, "exponent": 2}
+    assert summary == {
+        "kind": "deterministic",
+        "states": 4,
+        "actions": 2,
+        "fail": 1,
+        "dead": 2,
+        "safe": 1,
+        "at_risk": 0,
+        "terminal": 0,
+        "horizon": 2,
+        "boundary_horizon": 2,
+        "reachable_horizon": None,
+        "reachable_boundary_horizon": None,
+        "gamma_safe": 0.5,
+    }
+
+
+def test_label_of_an_environment(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "label", "FrozenLake-v1", "--env-arg", "map_name=8x8")
+    assert status == 0
+    assert "FrozenLake-v1: stochastic, 4 actions" in out
+    assert "at risk" in out
+    status, out, _ = run(
+        capsys, "label", "FrozenLake-v1", "--env-arg", "is_slippery=False", "--json",
+        "--fail-states", "5,7,11-12",
+    )  # fmt: skip
+    assert status == 0
+    assert json.loads(out)["safe"] == 12
+    status, out, _ = run(capsys, "label", "CliffWalking-v1", "--fail-if", "r <= -100", "--json")
+    assert json.loads(out)["dead"] == 0
+    assert json.loads(out)["states"] == 49
+
+
+def test_thresholds_without_bounds_or_members(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = str(tmp_path / "model.npz")
+    np.savez(path, next_state=[[0], [1]], fail=np.array([False, True]))
+    assert "any, for no action leaves the safe states" in run(capsys, "label", path)[1]
+    assert json.loads(run(capsys, "label", path, "--json")[1])["threshold"]["at_most"] is None
+
+
+def read_csv(path: Path) -> list[list[str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.reader(file))
+
+
+def test_label_files(capsys: pytest.CaptureFixture[str], corridor: str, tmp_path: Path) -> None:
+    for suffix in (".csv", ".json", ".npz"):
+        path = tmp_path / f"labels{suffix}"
+        status, out, _ = run(capsys, "label", corridor, "--out", str(path))
+        assert status == 0
+        assert out.endswith(f"wrote {path}\n")
+    assert read_csv(tmp_path / "labels.csv") == [
+        ["state", "name", "label", "survival_time"],
+        ["0", "door", "safe", ""],
+        ["1", "hall", "dead", "2"],
+        ["2", "edge", "dead", "1"],
+        ["3", "pit", "fail", "0"],
+    ]
+    content = json.loads((tmp_path / "labels.json").read_text())
+    assert content["labels"] == ["safe", "dead", "dead", "fail"]
+    assert content["survival_time"] == [None, 2, 1, 0]
+    assert content["state_names"] == ["door", "hall", "edge", "pit"]
+    assert content["summary"]["horizon"] == 2
+    with np.load(tmp_path / "labels.npz") as arrays:
+        labelling = classify(load_model(corridor))
+        assert np.array_equal(arrays["labels"], labelling.labels)
+        assert np.array_equal(arrays["survival_time"], labelling.survival_time)
+        assert json.loads(str(arrays["summary"])) == content["summary"]
+
+
+def test_convert(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "lake.npz"
+    status, out, _ = run(capsys, "convert", "FrozenLake-v1", "--out", str(path))
+    assert status == 0
+    assert "16 states" in out
+    assert np.array_equal(load_model(path).fail, load_model("FrozenLake-v1").fail)
+
+
+def test_certify_and_check(
+    capsys: pytest.CaptureFixture[str], corridor: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "certificate.json"
+    status, out, _ = run(capsys, "certify", corridor, "--out", str(path))
+    assert status == 0
+    digest = json.loads(path.read_text())["digest"]
+    assert f"sha256 {digest}" in out
+    status, out, _ = run(capsys, "check", str(path), corridor)
+    assert status == 0
+    assert out.startswith("accepted: every label is proved")
+    certificate = json.loads(path.read_text())
+    certificate["rank"][1] = 3
+    path.write_text(json.dumps(certificate))
+    status, out, err = run(capsys, "check", str(path), corridor)
+    assert (status, out) == (1, "")
+    assert err == "refused: state 1 (hall): rank is not 1 + the greatest of successors\n"
+    status, _, err = run(capsys, "check", str(path), "FrozenLake-v1")
+    assert status == 1
+    assert "refused" in err
+
+
+@pytest.mark.parametrize(
+    ("state", "expected"), [("1", "hall"), ("hall", "hall"), ("0", "door"), ("pit", "pit")]
+)
+def test_explain(
+    capsys: pytest.CaptureFixture[str], corridor: str, state: str, expected: str
+) -> None:
+    status, out, err = run(capsys, "explain", corridor, state)
+    assert (status, err) == (0, "")
+    assert expected in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "arguments are required: COMMAND"),
+        (["nonsense"], "invalid choice: 'nonsense'"),
+        (["label"], "arguments are required: FILE"),
+        (["label", "no-such-file.npz"], "no-such-file.npz: No such file or directory"),
+        (["label", "no-such-file"], "no-such-file: neither a file nor an environment id"),
+        (["label", "model.xyz"], "model.xyz: unknown format '.xyz' (known: .npz, "),
+        (["label", "NoSuchLake-v1"], "NoSuchLake-v1: "),
+        (["label", "Taxi-v4"], "Taxi-v4: which states fail is not known"),
+        (["label", "CartPole-v1"], "CartPole-v1: the environment has no transition table P"),
+        (["label", "Taxi-v4", "--fail-if", "x"], "condition 'x': unknown name 'x'"),
+        (["label", "Taxi-v4", "--fail-label", "x"], "fail_label (--fail-label) means nothing"),
+        (["label", "Taxi-v4", "--fail-states", "5,x"], "'x' is neither a state nor a range"),
+        (["label", "Taxi-v4", "--fail-states", "0-99999999999"], "are too many states to list"),
+        (["label", "Taxi-v4", "--fail-states", "500"], "500 is not a state (0 to 499)"),
+        (["label", "Taxi-v4", "--env-arg", "is_rainy"], "'is_rainy' is not of the form KEY=VALUE"),
+        (["label", "Taxi-v4", "--env-arg", "wind=1"], "Taxi-v4: "),
+        (["label", "FrozenLake-v1", "--gamma-safe", "x"], "'x' is not a number"),
+        (["label", "FrozenLake-v1", "--gamma-safe", "1/0"], "'1/0' is not a number"),
+        (["label", "FrozenLake-v1", "--gamma-safe", "1.5"], "1.5 is not in (0, 1]"),
+        (["label", "FrozenLake-v1", "--gamma-safe", "nan"], "nan is not in (0, 1]"),
+        (["label", "FrozenLake-v1", "--out", "x.txt"], "x.txt: labels are written as .npz, .csv"),
+        (["label", "FrozenLake-v1", "--out", "absent/x.csv"], "the folder absent does not exist"),
+        (["convert", "FrozenLake-v1", "--out", "x.txt"], "x.txt: models are written as .npz"),
+        (["certify", "FrozenLake-v1", "--out", "x.txt"], "x.txt: certificates are written as"),
+        (["check", "absent.npz", "FrozenLake-v1"], "absent.npz: No such file or directory"),
+        (["check", "absent.json", "FrozenLake-v1"], "absent.json: No such file or directory"),
+        (["explain", "FrozenLake-v1", "16"], "state 16: states are numbered 0 to 15 and no state"),
+        (["explain", "FrozenLake-v1", "-1"], "state -1: states are numbered 0 to 15"),
+    ],
+)
+def test_bad_input_is_one_line(
+    arguments: Sequence[str],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert message in fails(capsys, *arguments)
+    assert not list(tmp_path.iterdir())
+
+
+def test_unnamed_states(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "numbered 0 to 500\n" in fails(
+        capsys, "explain", "Taxi-v4", "--fail-states", "0", "home"
+    )
+
+
+def test_folders_and_damaged_files(
+    capsys: pytest.CaptureFixture[str], corridor: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "folder.npz"
+    folder.mkdir()
+    assert f"{folder}: Is a directory" in fails(capsys, "label", str(folder))
+    assert f"{folder}: Is a directory" in fails(
+        capsys, "convert", "FrozenLake-v1", "--out", str(folder)
+    )
+    bad = tmp_path / "bad.npz"
+    bad.write_bytes(Path(corridor).read_bytes()[:-50])
+    assert f"{bad}: not an npz file, or it is truncated" in fails(capsys, "label", str(bad))
+    np.savez(bad, next_state=[[4]], fail=np.array([False]))
+    assert f"{bad}: state 0, action 0: successor 4 is not a state" in fails(
+        capsys, "label", str(bad)
+    )
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "bad.npz", "corridor.npz", "folder.npz",
+    ]  # fmt: skip
+
+
+def test_without_gymnasium(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    assert "pip install 'dead-ends[gym]'" in fails(capsys, "label", "FrozenLake-v1")
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "said"),
+    [
+        (KeyboardInterrupt(), 130, ""),
+        (MemoryError(), 2, "dead-ends: not enough memory for this model\n"),
+        (OSError("the disk is gone"), 2, "dead-ends: the disk is gone\n"),
+    ],
+)
+def test_what_may_happen_meanwhile(
+    error: BaseException,
+    status: int,
+    said: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise error
+
+    monkeypatch.setattr(dead_ends.io, "load_model", interrupted)
+    assert run(capsys, "label", "FrozenLake-v1") == (status, "", said)
+
+
+def test_nobody_reads_the_output() -> None:
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    process = subprocess.run(
+        [*PYTHON, "label", "CliffWalking-v1"],
+        stdout=write_end,
+        stderr=subprocess.PIPE,
+        timeout=120,
+        check=False,
+    )
+    os.close(write_end)
+    assert (process.returncode, process.stderr) == (141, b"")
+
+
+def test_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
+    """Writing stops after 100 bytes, as on a full disk."""
+    command = f"import resource; resource.setrlimit({resource.RLIMIT_FSIZE}, (100, 100))\n"
+    command += "from dead_ends.__main__ import main\n"
+    command += "raise SystemExit(main(['convert', 'FrozenLake-v1', '--out', 'lake.npz']))"
+    process = subprocess.run(
+        [sys.executable, "-c", command],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert process.returncode == 2
+    assert process.stderr == "dead-ends: [Errno 27] File too large\n"
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_real_traceback_never_shows(tmp_path: Path) -> None:
+    process = subprocess.run(
+        [*PYTHON, "label", str(tmp_path / "absent.npz")],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert process.returncode == 2
+    assert process.stderr == f"dead-ends: {tmp_path / 'absent.npz'}: No such file or directory\n"
