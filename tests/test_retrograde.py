@@ -166,6 +166,13 @@ def test_an_action_that_is_not_available_saves_nobody() -> None:
     assert survival_times(model).tolist() == [1, 0]
 
 
+def test_an_action_that_is_not_available_lengthens_nothing() -> None:
+    # 1 -> 2 -> 3 -> fail, and 6 -> 5 -> 4 -> 3: the last state is dead before state 1 is.
+    table = np.array([[0, 0], [-1, 2], [3, -1], [0, 0], [3, 3], [4, 4], [5, 5]])
+    model = SafeMDP.deterministic(table, np.arange(7) == 0)
+    assert survival_times(model).tolist() == [0, 3, 2, 1, 2, 3, 4]
+
+
 def test_a_self_loop_survives() -> None:
     model = SafeMDP.deterministic(np.array([[1, 0], [0, 0]]), np.array([False, True]))
     assert survival_times(model).tolist() == [INFINITE, 0]
