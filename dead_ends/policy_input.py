@@ -75,7 +75,9 @@ def single_actions(model: SafeMDP, policy: NDArray[Any]) -> NDArray[np.int64] | 
     if policy.ndim == 1:
         return policy.astype(np.int64)
     decides = ~(model.fail | model.terminal)
-    if (policy[decides] == 1).any(axis=1).all():
+    # Rows sum to 1 only within a tolerance: beside a 1 there may be small probabilities.
+    certain = (policy == 1).any(axis=1) & (np.count_nonzero(policy > 0, axis=1) == 1)
+    if certain[decides].all():
         actions: NDArray[np.int64] = np.argmax(policy == 1, axis=1)
         return actions
     return None
