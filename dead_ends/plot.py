@@ -12,14 +12,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib.animation import FuncAnimation
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
+from PIL import Image
 
 from dead_ends.model import Geometry, SafeMDP
 from dead_ends.results import INFINITE, Label, Labelling
@@ -80,7 +82,8 @@ def plot_map(
     labelling: Labelling,
     *,
     title: str = "",
-    safe_actions: NDArray[np.bool_] | None = None,
+    actions: NDArray[np.bool_] | None = None,
+    actions_name: str = "safe action",
 ) -> Figure:
     """The labels on the model's cells, with survival times and safe actions as arrows.
 
@@ -88,7 +91,8 @@ def plot_map(
         model: a model with a geometry.
         labelling: its labels.
         title: above the picture.
-        safe_actions: bool (S, A), drawn as arrows if the geometry names directions.
+        actions: bool (S, A), drawn as arrows if the geometry names directions.
+        actions_name: what the arrows are, for the legend.
 
     Raises:
         ValueError: if the model has no geometry, or two states share a cell.
@@ -103,34 +107,35 @@ def plot_map(
     drawn = np.flatnonzero(_drawn(geometry))
     if len(drawn) <= MAX_NUMBERED_CELLS:
         _draw_survival_times(axes, geometry, labelling)
-        if safe_actions is not None and geometry.arrows is not None:
-            _draw_arrows(axes, geometry, safe_actions, labelling)
-    present = [label for label in Label if np.any(labelling.labels[drawn] == label)]
-    handles: list[Any] = [
-        Patch(facecolor=COLORS[label], edgecolor="#999999", label=NAMES[label]) for label in present
-    ]
-    if labelling.dead[drawn].any() and len(drawn) <= MAX_NUMBERED_CELLS:
-        handles.append(Line2D([], [], linestyle="", marker="$3$", color="black", label=_T_LEGEND))
-    if safe_actions is not None and geometry.arrows is not None:
-        handles.append(
-            Line2D(
-                [],
-                [],
-                linestyle="",
-                marker=r"$\rightarrow$",
-                color="black",
-                label="safe action",
-                markersize=10,
-            )
-        )
-    figure.legend(
-        handles=handles, loc="outside lower center", ncols=min(3, len(handles)), frameon=False
-    )
+        if actions is not None and geometry.arrows is not None:
+            _draw_arrows(axes, geometry, actions, labelling)
+    handles = _map_legend(geometry, labelling, drawn)
+    if len(drawn) <= MAX_NUMBERED_CELLS:
+        if labelling.dead[drawn].any():
+            handles.append(_symbol("$3$", _T_LEGEND))
+        if actions is not None and geometry.arrows is not None:
+            handles.append(_symbol(r"$\rightarrow$", actions_name))
+    columns = min(len(handles), max(1, int(figure.get_figwidth() // 3.3)))
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False)
     axes.set_title(title, loc="left")
     return figure
 
 
 _T_LEGEND = "steps to failure, at most (∞: no bound)"
+
+
+def _symbol(marker: str, name: str) -> Line2D:
+    return Line2D([], [], linestyle="", marker=marker, color="black", markersize=9, label=name)
+
+
+def _map_legend(geometry: Geometry, labelling: Labelling, drawn: NDArray[np.int_]) -> list[Any]:
+    """A patch for each kind of cell in the picture."""
+    kinds = [
+        (COLORS[label], NAMES[label]) for label in Label if np.any(labelling.labels[drawn] == label)
+    ]
+    if geometry.walls:
+        kinds.append((WALL, "wall"))
+    return [Patch(facecolor=color, edgecolor="#999999", label=name) for color, name in kinds]
 
 
 def plot_boundaries(
@@ -212,6 +217,9 @@ def draw_labels(axes: Axes, geometry: Geometry, labels: NDArray[np.uint8]) -> No
     )
     if geometry.y_down:
         axes.invert_yaxis()
+    if geometry.step == (1.0, 1.0):
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     if columns * rows <= MAX_NUMBERED_CELLS:
         _draw_grid(axes, geometry, columns, rows)
     axes.set_xlabel(geometry.x_label)
@@ -220,79 +228,98 @@ def draw_labels(axes: Axes, geometry: Geometry, labels: NDArray[np.uint8]) -> No
 
 def animate_runs(
     model: SafeMDP, labelling: Labelling, runs: Sequence[Run], *, title: str = ""
-) -> FuncAnimation:
-    """Episodes side by side on the labelled map; an action of the recovery policy is marked.
+) -> list[Image.Image]:
+    """Episodes side by side on the labelled map, a frame a step; the last frame is the end.
 
-    Save it with ``animation.save(path, writer="pillow", fps=...)``. The last frame is held.
+    An action of the recovery policy is marked where it was taken. Save the frames with
+    ``frames[0].save(path, save_all=True, append_images=frames[1:], ...)``.
+
+    Raises:
+        ValueError: if the model has no geometry, or two states share a cell.
     """
+    figure, artists = _animation_figure(model, labelling, runs, title)
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()
+    # Only what moves is drawn anew for each frame: the rest takes most of the time.
+    background = canvas.copy_from_bbox(figure.bbox)
+    frames = []
+    for step in range(max(len(run.states) for run in runs)):
+        canvas.restore_region(background)
+        for run, moving in zip(runs, artists, strict=True):
+            _draw_step(_geometry(model), labelling, run, moving, step)
+        image = Image.frombytes("RGBA", canvas.get_width_height(), bytes(canvas.buffer_rgba()))
+        frames.append(image.convert("RGB"))
+    return frames
+
+
+@dataclass(frozen=True, eq=False)
+class _Moving:
+    """What changes from frame to frame in one panel."""
+
+    axes: Axes
+    path: Line2D
+    recovered: Line2D
+    agent: Line2D
+
+
+def _animation_figure(
+    model: SafeMDP, labelling: Labelling, runs: Sequence[Run], title: str
+) -> tuple[Figure, list[_Moving]]:
     geometry = _geometry(model)
     columns, rows = _extent_cells(geometry)
-    height = 4.6 if not geometry.y_down else max(3.4, 5.2 * rows / columns + 1.2)
-    figure = Figure(figsize=(5.2 * len(runs), height), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(1, len(runs)))
+    height = max(3.4, 5.2 * rows / columns + 1.2) if geometry.y_down else 4.6
+    figure = Figure(figsize=(5.2 * len(runs), height), dpi=80, layout="constrained")
     figure.suptitle(title)
     artists = []
-    for axes, run in zip(panels, runs, strict=True):
+    for axes in np.atleast_1d(figure.subplots(1, len(runs))):
         draw_labels(axes, geometry, labelling.labels)
-        path = axes.plot([], [], color="#333333", linewidth=1.6)[0]
-        recovered = axes.plot([], [], linestyle="", marker="s", markersize=7, color="#0072B2")[0]
-        agent = axes.plot(
-            [], [], marker="o", markersize=11, color="black", markeredgecolor="white"
-        )[0]
-        artists.append((axes, run, path, recovered, agent))
-    figure.legend(
-        handles=[
-            *(
-                Patch(facecolor=COLORS[label], label=label.name.lower().replace("_", " "))
-                for label in Label
-                if labelling.count(label)
-            ),
-            Line2D([], [], linestyle="", marker="o", markersize=9, color="black", label="agent"),
-            Line2D(
-                [],
-                [],
-                linestyle="",
-                marker="s",
-                markersize=7,
-                color="#0072B2",
-                label="recovery policy acted",
-            ),
-        ],
-        loc="outside lower center",
-        ncols=6,
-        frameon=False,
-    )
-    last = max(len(run.states) for run in runs) - 1
-    hold = 12
+        axes.set_title(" ", fontsize=11).set_animated(True)
+        artists.append(
+            _Moving(
+                axes,
+                axes.plot([], [], color="#333333", linewidth=1.6, animated=True)[0],
+                axes.plot([], [], "s", markersize=7, color=LINES[2], animated=True)[0],
+                axes.plot([], [], "o", markersize=11, color="black", mec="white", animated=True)[0],
+            )
+        )
+    present = [label for label in Label if labelling.count(label)]
+    handles: list[Any] = [
+        Patch(facecolor=COLORS[label], label=label.name.lower().replace("_", " "))
+        for label in present
+    ]
+    handles += [
+        Line2D([], [], linestyle="", marker="o", markersize=9, color="black", label="agent"),
+        Line2D([], [], linestyle="", marker="s", color=LINES[2], label="recovery policy acted"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=6, frameon=False)
+    return figure, artists
 
-    def draw(frame: int) -> list[Line2D]:
-        changed = []
-        for axes, run, path, recovered, agent in artists:
-            step = min(frame, last, len(run.states) - 1)
-            points = _coordinates(geometry, run.states[: step + 1])
-            path.set_data(*points.T)
-            agent.set_data(*points[-1:].T)
-            recovered.set_data(*points[:-1][run.corrected[:step]].T)
-            axes.set_title(f"{run.name}: {_status(labelling, run, step)}", fontsize=11)
-            changed += [path, recovered, agent]
-        return changed
 
-    return FuncAnimation(figure, draw, frames=last + 1 + hold, blit=False)
+def _draw_step(
+    geometry: Geometry, labelling: Labelling, run: Run, moving: _Moving, step: int
+) -> None:
+    step = min(step, len(run.states) - 1)
+    points = _coordinates(geometry, run.states[: step + 1])
+    moving.path.set_data(*points.T)
+    moving.agent.set_data(*points[-1:].T)
+    moving.recovered.set_data(*points[:-1][run.corrected[:step]].T)
+    moving.axes.title.set_text(f"{run.name}: {_status(labelling, run, step)}")
+    for artist in (moving.path, moving.recovered, moving.agent, moving.axes.title):
+        moving.axes.draw_artist(artist)
 
 
 def _status(labelling: Labelling, run: Run, step: int) -> str:
     label = Label(labelling.labels[run.states[step]])
     if label == Label.FAIL:
         return f"failed at step {step}"
-    if step > 0 and run.corrected[step - 1]:
+    if step == len(run.states) - 1 and label >= Label.SAFE:
+        return "never failed"
+    if step < len(run.corrected) and run.corrected[step]:
         return "recovery policy acts"
     if label == Label.DEAD:
-        return (
-            f"dead-end, fails within {labelling.survival_time[run.states[step]]} steps"
-            if (labelling.survival_time[run.states[step]] != INFINITE)
-            else "dead-end"
-        )
-    return "task policy acts" if step < len(run.states) - 1 else "never failed"
+        time = labelling.survival_time[run.states[step]]
+        return "dead-end" if time == INFINITE else f"dead-end, fails within {time} steps"
+    return "task policy acts"
 
 
 def _geometry(model: SafeMDP) -> Geometry:
@@ -344,12 +371,12 @@ def _draw_survival_times(axes: Axes, geometry: Geometry, labelling: Labelling) -
 
 
 def _draw_arrows(
-    axes: Axes, geometry: Geometry, safe_actions: NDArray[np.bool_], labelling: Labelling
+    axes: Axes, geometry: Geometry, actions: NDArray[np.bool_], labelling: Labelling
 ) -> None:
     assert geometry.arrows is not None
     drawn = _drawn(geometry) & labelling.paper_safe
     for action, direction in enumerate(geometry.arrows):
-        states = np.flatnonzero(safe_actions[:, action] & drawn)
+        states = np.flatnonzero(actions[:, action] & drawn)
         centre = _coordinates(geometry, states)
         if not any(direction):
             axes.plot(*centre.T, linestyle="", marker=".", markersize=3.5, color="black")
@@ -363,10 +390,11 @@ def _draw_arrows(
             angles="xy",
             scale_units="xy",
             scale=1,
-            width=0.003,
-            headwidth=4.5,
-            headlength=4.5,
-            headaxislength=4.0,
+            units="xy",
+            width=0.035 * min(geometry.step),
+            headwidth=4,
+            headlength=4,
+            headaxislength=3.5,
         )
 
 

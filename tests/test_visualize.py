@@ -1,0 +1,112 @@
+"""``python -m dead_ends.visualize``: pictures, numbers and errors, as a user meets them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from dead_ends.visualize import main
+
+SMALL_BRAKE = ["brake", "--distance", "60", "--speed", "10"]
+MAGIC = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
+
+
+@pytest.mark.parametrize("suffix", MAGIC)
+def test_the_suffix_is_the_format(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"picture{suffix}"
+    assert main([*SMALL_BRAKE, "--out", str(path)]) == 0
+    assert path.read_bytes().startswith(MAGIC[suffix])
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_numbers_of_the_brake(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Counted by hand: 61 + 3 distances, 11 speeds, stopping distances 0 0 0 0 1 2 3 5 7 9 12."""
+    path = tmp_path / "brake.png"
+    main([*SMALL_BRAKE, "--out", str(path), "--gamma-safe", "0.5"])
+    rows = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    assert rows["states"] == str(64 * 11)
+    assert rows["|S_fail|"] == str(3 * 11)
+    assert rows["|S_dead|"] == str(1 + 2 + 3 + 5 + 7 + 9 + 12)
+    assert rows["|S_safe|"] == str(61 * 11 - 39)
+    assert rows["H"] == "3"
+    assert rows["H_b"] == "3"
+    assert rows["threshold"] == "0 < epsilon_safe <= 0.125"
+    assert rows["picture"] == str(path)
+
+
+def test_the_other_dynamics_have_other_dead_ends(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Moving before braking, the car needs its speed more to stop."""
+    main([*SMALL_BRAKE, "--dynamics", "explicit", "--out", str(tmp_path / "a.png")])
+    rows = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    assert rows["|S_dead|"] == str(39 + sum(range(11)))
+
+
+@pytest.mark.parametrize("task", ["gridworld", "lifegate", "bridge"])
+def test_maps_and_animations(tmp_path: Path, task: str) -> None:
+    picture, animation = tmp_path / "map.png", tmp_path / "map.gif"
+    assert main([task, "--out", str(picture), "--gif", str(animation)]) == 0
+    assert picture.stat().st_size > 10_000
+    with Image.open(animation) as image:
+        assert image.n_frames > 5
+
+
+def test_a_users_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = tmp_path / "map.txt"
+    text.write_text("S.>L\n")
+    assert main(["gridworld", "--map", str(text), "--out", str(tmp_path / "map.svg")]) == 0
+    rows = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    assert (rows["|S_fail|"], rows["|S_dead|"], rows["|S_safe|"]) == ("1", "1", "2")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["brake", "--out", "brake.jpg"], "--out: brake.jpg must end in .png, .svg, .pdf"),
+        (["brake", "--gif", "brake.mp4"], "--gif: brake.mp4 must end in .gif"),
+        (["brake", "--gamma-safe", "1.5"], "--gamma-safe must lie in (0, 1], not 1.5"),
+        (["brake", "--braking", "0"], "max_braking must be at least 1, not 0"),
+        (["gridworld", "--slip", "2"], "slip must lie in 0 to 1, not 2.0"),
+        (["gridworld", "--map", "missing.txt"], "missing.txt"),
+        ([*SMALL_BRAKE, "--out", "nowhere/a.png"], "the folder nowhere does not exist"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(
+    options: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(options) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_a_display_a_file_is_written_here(tmp_path: Path) -> None:
+    root = Path(__file__).parents[1]
+    environment = {
+        key: value
+        for key, value in os.environ.items()
+        if key not in ("DISPLAY", "WAYLAND_DISPLAY", "MPLBACKEND")
+    } | {"PYTHONPATH": str(root)}
+    done = subprocess.run(
+        [sys.executable, "-m", "dead_ends.visualize", "gridworld"],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines()[-1].split() == ["picture", "gridworld.png"]
+    assert (tmp_path / "gridworld.png").exists()
