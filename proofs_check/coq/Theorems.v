@@ -1,4 +1,4 @@
-(** * Each statement of Statements.v, proved, under its name. *)
+(** * Each statement of Statements.v, proved, under its name: [X : X_statement]. *)
 From Coq Require Import List Reals.
 From DeadEnds Require Import Statements Sums FixedPoint Values Labels Deterministic
   RRLCounterexample Expectile Stochastic StochasticCounterexample.
@@ -15,7 +15,7 @@ Proof. intros M D HD s Ds. now apply dead_horizon. Qed.
 Theorem Acyclic : Acyclic_statement.
 Proof. intros M w i j. apply dead_no_cycle. Qed.
 
-Theorem SurvivalTime_recursion : SurvivalTime_statement.
+Theorem SurvivalTime : SurvivalTime_statement.
 Proof.
   intros M s. split; [apply Labels.time_finite|]. split; [apply Labels.time_zero|].
   intro n. apply Labels.time_succ.
