@@ -30,6 +30,9 @@ LATTICES = [
         (200, 17, 1, 1, 17),
     )
 ]
+each_lattice = pytest.mark.parametrize(
+    "lattice", LATTICES, ids=[f"{each.dynamics.__name__}-{each.max_speed}" for each in LATTICES]
+)
 
 
 def braked_distance(lattice: BrakeLattice, speed: int) -> int:
@@ -58,7 +61,7 @@ def closed_form_survival_time(lattice: BrakeLattice, distance: int, speed: int) 
     return -((root - linear) // (2 * braking))
 
 
-@pytest.mark.parametrize("lattice", LATTICES, ids=str)
+@each_lattice
 def test_stopping_distance_is_what_braking_covers(lattice: BrakeLattice) -> None:
     speeds = range(lattice.max_speed + 1)
     assert [braked_distance(lattice, speed) for speed in speeds] == list(
@@ -66,7 +69,7 @@ def test_stopping_distance_is_what_braking_covers(lattice: BrakeLattice) -> None
     )
 
 
-@pytest.mark.parametrize("lattice", LATTICES, ids=str)
+@each_lattice
 def test_labels_and_survival_times_have_the_closed_form(lattice: BrakeLattice) -> None:
     labelling = classify(brake(lattice))
     distance, speed = lattice.coordinates()

@@ -12,6 +12,7 @@ from dead_ends.envs.dubins import dubins
 
 Floats = NDArray[np.float64]
 LENGTH, HEADINGS, TURN, RADIUS = 8, 32, 5, 1.0
+TURN_ANGLE = 2 * np.pi * TURN / HEADINGS
 
 
 @pytest.fixture(scope="module")
@@ -19,10 +20,10 @@ def pair() -> Bracket:
     return dubins(LENGTH, 4, HEADINGS, TURN, RADIUS)
 
 
-def drive(points: Floats, control: NDArray[np.int64], turn: int = TURN) -> Floats:
-    """(x, y, heading) after one step: the arc of curvature u delta, of length 1."""
+def drive(points: Floats, control: NDArray[np.int64], turn_angle: float = TURN_ANGLE) -> Floats:
+    """(x, y, heading) after one step: an arc of length 1 that turns by u delta."""
     x, y, heading = points.T
-    curvature = control * turn * 2 * np.pi / HEADINGS
+    curvature = control * turn_angle
     after = heading + curvature
     radius = 1 / np.where(control == 0, 1, curvature)
     moved_x = np.where(control == 0, np.cos(heading), radius * (np.sin(after) - np.sin(heading)))
@@ -42,16 +43,23 @@ def sample(pair: Bracket, cells: NDArray[np.int64], rng: np.random.Generator) ->
     return pair.grid.corners()[cells] + offsets
 
 
-def test_successors_contain_the_image_of_every_sampled_point(pair: Bracket) -> None:
+@pytest.mark.parametrize(
+    ("length", "resolution", "headings", "turn"),
+    [(8, 4, 32, 5), (3, 16, 4, 1), (3, 16, 6, 2), (3, 12, 10, 1)],
+)
+def test_successors_contain_the_image_of_every_sampled_point(
+    length: int, resolution: int, headings: int, turn: int
+) -> None:
+    """Coarse headings too, whose arcs reach their extremes in the middle of a cell."""
+    pair = dubins(length, resolution, headings, turn, 0)
     rng = np.random.default_rng(0)
-    cells = np.repeat(np.arange(pair.grid.num_cells), 2)
+    cells = np.repeat(np.arange(pair.grid.num_cells), 3)
     kernel = pair.inner.transitions()
-    touched = pair.inner.fail[cells]
     for action, control in enumerate((-1, 0, 1)):
-        points = drive(sample(pair, cells, rng), np.full(len(cells), control))
-        reached = pair.grid.cell_of(points)
-        probability = np.asarray(kernel[cells * 3 + action, reached]).ravel()
-        assert (probability[~touched] > 0).all()
+        controls = np.full(len(cells), control)
+        points = drive(sample(pair, cells, rng), controls, 2 * np.pi * turn / headings)
+        probability = kernel[cells * 3 + action, pair.grid.cell_of(points)]
+        assert (np.asarray(probability).ravel() > 0).all()
 
 
 def test_inner_lies_within_outer(pair: Bracket) -> None:
