@@ -31,7 +31,7 @@ _MODULE_OF = {
     "estimate_model": "estimation",
     "evaluate_policy": "bellman",
     "expectile_iteration": "expectile",
-    "explain": "explain",
+    "explain": "explanation",
     "Geometry": "model",
     "greedy_actions": "policies",
     "in_policy_set": "policies",

@@ -18,7 +18,7 @@ def run(arguments: argparse.Namespace) -> int:
     model = read_source(arguments)
     state = find_state(model, arguments.state)
 
-    from dead_ends.explain import explain
+    from dead_ends.explanation import explain
 
     print(explain(model, state).text)
     return 0

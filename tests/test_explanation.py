@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +13,7 @@ from hypothesis import strategies as st
 
 from dead_ends.envs.bridge import bridge
 from dead_ends.envs.lifegate import lifegate
-from dead_ends.explain import Explanation, Path, explain, state_index
+from dead_ends.explanation import Explanation, Path, explain, state_index
 from dead_ends.labels import classify, safe_actions
 from dead_ends.model import SafeMDP
 from dead_ends.results import INFINITE, Label
@@ -83,6 +85,16 @@ def assert_explains(model: SafeMDP, state: int) -> Explanation:
         assert 0 < result.p_min[0] <= result.p_min[1] < 1
         assert result.action == result.path.actions[0]
     return result
+
+
+def test_every_public_name_is_what_it_says_and_no_module() -> None:
+    """A module with the name of its function would hide it."""
+    command = (
+        "from types import ModuleType; import dead_ends; from dead_ends import *; "
+        "print([name for name in dead_ends.__all__ if isinstance(globals()[name], ModuleType)])"
+    )
+    done = subprocess.run([sys.executable, "-c", command], capture_output=True, check=True)
+    assert done.stdout.decode().strip() == "[]"
 
 
 @settings(deadline=None)  # the first labelling compiles
