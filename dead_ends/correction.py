@@ -103,40 +103,42 @@ def corrected_model(
             f"Q must have shape ({model.num_states}, {model.num_actions}), not {allowed.shape}"
         )
     rec = recovery_policy(Q) if recovery is None else _recovery_indices(recovery, model)
-    executed = _executed(model, allowed, rec)
-    rewards = None
-    if model.rewards is not None:
-        rewards = _read_only(np.take_along_axis(model.rewards, executed, axis=1))
+    corrected = _corrected(model, allowed, rec)
+    states = np.arange(model.num_states)
+
+    def executed(table: NDArray[Any]) -> NDArray[Any]:
+        """table[s, executed action] for every proposed action."""
+        return _read_only(np.where(corrected, table[states, rec][:, None], table))
+
+    rewards = None if model.rewards is None else executed(model.rewards)
     if model.next_state is not None:
-        table = np.take_along_axis(model.next_state, executed, axis=1)
-        return replace(model, next_state=_read_only(table), rewards=rewards)
+        return replace(model, next_state=executed(model.next_state), rewards=rewards)
     from dead_ends.kernel import select_rows
 
     assert model.kernel is not None
-    states = np.arange(model.num_states, dtype=np.int64)[:, None]
-    rows = (states * model.num_actions + executed).ravel()
-    kernel, exact = select_rows(model.kernel, model.exact, rows)
+    rows = np.arange(allowed.size).reshape(allowed.shape)
+    kernel, exact = select_rows(model.kernel, model.exact, executed(rows).ravel())
     return replace(model, kernel=kernel, exact=exact, rewards=rewards)
 
 
-def _executed(
+def _corrected(
     model: SafeMDP, allowed: NDArray[np.bool_], rec: NDArray[np.integer[Any]]
-) -> NDArray[np.integer[Any]]:
-    """int (S, A): the action executed when a is proposed in s; a itself if it is not available.
+) -> NDArray[np.bool_]:
+    """bool (S, A): the proposals that are replaced by the recovery action, once it is available.
 
-    In terminal states too: the episode is over, and their rows stay as they are.
+    None in terminal states, where the episode is over, nor where there is nothing to propose.
     """
-    corrected = model.available & ~allowed & ~model.terminal[:, None]
+    available = model.available
+    corrected = available & ~allowed & ~model.terminal[:, None]
     needed = np.flatnonzero(corrected.any(axis=1))
-    missing = needed[~model.available[needed, rec[needed]]]
+    missing = needed[~available[needed, rec[needed]]]
     if len(missing):
         state = int(missing[0])
         raise ValueError(
             f"{model.state_name(state)}: the recovery policy takes "
             f"{model.action_name(int(rec[state]))}, which is not available there"
         )
-    proposed = np.arange(model.num_actions, dtype=rec.dtype)[None, :]
-    return np.where(corrected, rec[:, None], proposed)
+    return corrected
 
 
 def _recovery_indices(recovery: ArrayLike, model: SafeMDP) -> NDArray[np.integer[Any]]:
