@@ -34,7 +34,9 @@ def build_kernel(
         P = np.asarray(P)
         if P.dtype == object:
             return _build_exact(P, available, terminal, name)
+        _check_kind(P.dtype)
         P = sparse.csr_array(P.reshape(num_states * num_actions, num_states))
+    _check_kind(P.dtype)
     kernel = sparse.csr_array(P, dtype=np.float64, copy=True)
     _check_indices(kernel, num_actions, name)
     kernel.sum_duplicates()
@@ -114,6 +116,11 @@ def _fraction(p: Any, state: int, action: int, name: NamePair) -> Fraction:
     if value < 0:
         raise ValueError(f"{name(state, action)}: negative probability {value}")
     return value
+
+
+def _check_kind(dtype: np.dtype[Any]) -> None:
+    if dtype.kind not in "biuf":
+        raise ValueError(f"P must hold real numbers (or, if dense, Fractions), not {dtype}")
 
 
 def _check_indices(kernel: Csr, num_actions: int, name: NamePair) -> None:

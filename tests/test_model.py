@@ -228,6 +228,15 @@ def test_stochastic_refuses(P: object, message: str) -> None:
         SafeMDP.stochastic(P, FAIL_LAST)
 
 
+@pytest.mark.parametrize("kind", [complex, str, "datetime64[s]"])
+def test_numbers_that_are_not_real_are_refused(kind: type | str) -> None:
+    P = np.ones((1, 1, 1), dtype=np.int64).astype(kind)
+    with pytest.raises(ValueError, match=r"^P must hold real numbers \(or, if dense, Fractions\)"):
+        SafeMDP.stochastic(P, np.array([False]))
+    with pytest.raises(ValueError, match="not complex128"):
+        SafeMDP.stochastic(sparse.csr_array([[1j]]), np.array([False]))
+
+
 def test_rows_may_miss_one_by_rounding() -> None:
     SafeMDP.stochastic(changed((0, 0, 0), 1 / 3 + 5e-10), FAIL_LAST)
 
