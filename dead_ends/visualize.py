@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dead_ends.bellman import evaluate_policy, value_iteration
+from dead_ends.conventions import CriticConvention, ValueConvention
 from dead_ends.envs.brake import (
     BrakeLattice,
     brake,
@@ -48,6 +49,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMATS = (".png", ".svg", ".pdf")
+
+TIME: Any = {"value": ValueConvention.TIME, "critic": CriticConvention.NEXT_VALUE}
+"""V = gamma^T and Q = V(s'): the default Q, and a V that is what Q is on entering a state."""
 
 PAPER_THRESHOLD = 0.7
 """Where no threshold is exact (stochastic tasks), the paper's of its pretraining ablation."""
@@ -123,12 +127,12 @@ def brake_figure(scene: Scene, labelling: Labelling, arguments: argparse.Namespa
     """The paper's first figure from exact values, and what each critic takes away."""
     lattice, gamma = _lattice(arguments), arguments.gamma_safe
     random = uniform_driver(lattice)
-    optimal = value_iteration(scene.model, gamma)
+    optimal = value_iteration(scene.model, gamma, **TIME)
     weak = evaluate_policy(
         scene.model, weak_braker(lattice, max(1, lattice.max_braking - 1)), gamma
     )
-    late = evaluate_policy(scene.model, _late(lattice), gamma)
-    uniform = evaluate_policy(scene.model, random, gamma)
+    late = evaluate_policy(scene.model, _late(lattice), gamma, **TIME)
+    uniform = evaluate_policy(scene.model, random, gamma, **TIME)
     trained = [(tau, expectile_iteration(scene.model, random, tau, gamma)) for tau in (0.1, 0.3)]
     epsilon = gamma ** (labelling.horizon or 0)
     metres = _LATE * lattice.max_distance // 100 * lattice.distance_step
@@ -165,8 +169,8 @@ def brake_figure(scene: Scene, labelling: Labelling, arguments: argparse.Namespa
 
 
 def _unsafe(values: Values, labelling: Labelling, epsilon: float) -> NDArray[np.bool_]:
-    """The states that a deterministic step may not enter: fail, or gamma V(s) >= epsilon."""
-    return np.asarray(labelling.fail | (float(values.gamma_safe) * values.V >= epsilon))
+    """The states that a deterministic step may not enter: Q = V(s') >= epsilon (see TIME)."""
+    return np.asarray(labelling.fail | (epsilon <= values.V))
 
 
 def map_figure(scene: Scene, labelling: Labelling, _arguments: argparse.Namespace) -> Figure:

@@ -1,0 +1,54 @@
+"""``report FILE --out PAGE``: one self-contained page, to look at in a browser."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dead_ends.cli.source import add_source_arguments, read_source
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+SUMMARY = "write a page that shows labels, witnesses and what critics block"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_source_arguments(parser)
+    parser.add_argument("--out", metavar="PAGE", type=Path, required=True, help="the page (.html)")
+    parser.add_argument(
+        "--policy",
+        metavar="FILE",
+        type=Path,
+        action="append",
+        help="a task policy (.npy, integers (S,) or probabilities (S, A)) to compare; may be "
+        "repeated; without it, the uniformly random policy",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from dead_ends.io.atomic import atomic_path
+    from dead_ends.report import report_page
+
+    if arguments.out.suffix.lower() not in (".html", ".htm"):
+        raise ValueError(f"{arguments.out}: the page is written as .html")
+    model = read_source(arguments)
+    policies = {path.stem: _read_policy(path) for path in arguments.policy or ()}
+    page = report_page(model, Path(arguments.file).stem, policies or None)
+    with atomic_path(arguments.out) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    print(f"wrote {arguments.out}")
+    return 0
+
+
+def _read_policy(path: Path) -> NDArray[Any]:
+    import numpy as np
+
+    try:
+        policy = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError) as error:
+        raise ValueError(f"{path}: not a policy in .npy form: {error}") from None
+    if not isinstance(policy, np.ndarray):
+        raise ValueError(f"{path}: not a policy in .npy form: it holds several arrays")
+    return policy
