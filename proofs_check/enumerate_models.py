@@ -83,7 +83,7 @@ def _steps(batch: Tables, used: NDArray[np.bool_]) -> NDArray[np.int8]:
     successors = batch[:, :, used].reshape(models, -1).astype(np.intp)
     for _ in range(states + 1):  # after k sweeps: min(T, k)
         entered = np.take_along_axis(longest, successors, axis=1)
-        longest[:, :-1] = 1 + entered.reshape(models, states, -1).max(axis=2)
+        longest[:, :-1] = 1 + entered.reshape(models, states, int(used.sum())).max(axis=2)
     longest[longest > states] = FOREVER
     return longest
 
