@@ -32,7 +32,7 @@ Qed.
 Example partition_five : exists w, IsPath (edge five) w /\ w 0%nat = P /\ forall k, fail five (w k) = false.
 Proof. exact (proj1 (proj1 (proj2 (Theorems.Partition five P))) p_safe). Qed.
 Example horizon_five : exists n, (1 <= n <= 2)%nat /\ time five D2 n.
-Proof. exact (Theorems.Horizon five dead_states five_dead D2 d2_dead). Qed.
+Proof. exact (Theorems.Horizon five dead_states D2 five_dead d2_dead). Qed.
 Example acyclic_five : forall w, IsPath (edge five) w -> w 0%nat = D2 -> w 1%nat = D1 -> w 0%nat <> w 1%nat.
 Proof.
   intros w Hw W0 W1. apply (Theorems.Acyclic five w 0%nat 1%nat Hw); [lia|]. intros k Hk.
@@ -58,29 +58,30 @@ Proof. destruct (Theorems.Optimal_exists five (1/2) 0 half) as [W [H _]]. eauto.
 Section Five.
 Variables V W : State five -> R.
 Hypotheses (HV : IsValue five (1/2) 0 coin V) (HW : IsOptimal five (1/2) 0 W).
+Let solved : Solved five move (1/2) 0 coin V W := conj half (conj five_det (conj coin_policy (conj HV HW))).
 
 Example bullet1_five : V Fail = 0 /\ W Fail = 0 /\ target five (1/2) V Fail = 1.
 Proof. exact (Theorems.Lemma1_bullet1 five _ _ coin V W Fail half HV HW eq_refl). Qed.
 Example bullet2_five : (1/2) ^ 1 <= W D2 <= V D2 /\ W D2 = 1/2.
 Proof.
-  destruct (Theorems.Lemma1_bullet2 five move _ _ coin V W D2 half five_det coin_policy HV HW d2_dead)
+  destruct (Theorems.Lemma1_bullet2 five move _ _ coin V W D2 solved d2_dead)
     as [L [E B]]. destruct (E 1%nat d2_time) as [E1 _]. split; [split; [|exact L]|rewrite E1; lra].
-  apply (B 2%nat). intros t n Dt T. destruct (Theorems.Horizon five dead_states five_dead t Dt) as [k [Hk Tk]].
+  apply (B 2%nat). intros t n Dt T. destruct (Theorems.Horizon five dead_states t five_dead Dt) as [k [Hk Tk]].
   rewrite (time_fun five n k t T Tk). cbn in Hk. lia.
 Qed.
 Example bullet3_five : 0 <= V P /\ W P = 0.
-Proof. exact (Theorems.Lemma1_bullet3 five move _ _ coin V W P half five_det coin_policy HV HW p_safe). Qed.
+Proof. exact (Theorems.Lemma1_bullet3 five move _ _ coin V W P solved p_safe). Qed.
 Example positive_five : 0 < W D2.
-Proof. apply (Theorems.Positive_value five move _ _ W D2 half five_det HW). left. exact d2_dead. Qed.
+Proof. apply (Theorems.Positive_value five move _ _ coin V W D2 solved). left. exact d2_dead. Qed.
 Example task_five : ~ Q five (1/2) V P true < 1/4.
 Proof.
-  intro L. destruct (Theorems.Theorem2_task five move _ _ coin V (1/4) P true half five_det coin_policy HV
+  intro L. destruct (Theorems.Theorem2_task five move _ _ coin V W (1/4) P true solved
     threshold_five p_safe (five_avail P true) L) as [_ X]. exact (X d2_dead).
 Qed.
 Example recovery_five : Argmin five (Q five (1/2) W) P false /\ ~ Argmin five (Q five (1/2) W) P true.
 Proof.
   assert (N : ~ Argmin five (Q five (1/2) W) P true).
-  { intro A. destruct (Theorems.Theorem2_recovery five move _ _ W P true half five_det HW p_safe A) as [_ X].
+  { intro A. destruct (Theorems.Theorem2_recovery five move _ _ coin V W P true solved p_safe A) as [_ X].
     exact (X d2_dead). }
   split; auto. pose proof (greedy_argmin five (Q five (1/2) W) P) as G.
   destruct (greedy five (Q five (1/2) W) P); [contradiction|exact G].
@@ -91,19 +92,19 @@ Example closed_loop_five : exists w, ClosedLoop five (Q five (1/2) W) (Q five (1
 Proof.
   destruct (loop_exists five move (Q five (1/2) W) (Q five (1/2) W) (1/4) task P five_det) as [w [W0 [C _]]].
   { intro t. apply five_avail. }
-  exists w. split; auto. split; auto. apply (proj1 (Theorems.Theorem2 five move _ _ coin V W (1/4) half five_det
-    coin_policy HV HW threshold_five)); auto. rewrite W0. exact p_safe.
+  exists w. split; auto. split; auto. apply (proj1 (Theorems.Theorem2 five move _ _ coin V W (1/4) solved
+    threshold_five)); auto. rewrite W0. exact p_safe.
 Qed.
 Example exact_five : Q five (1/2) W P false < 1/4 /\ ~ Q five (1/2) W P true < 1/4.
 Proof.
-  pose proof (proj1 (Theorems.Exactness five move _ _ W (1/4) half five_det HW ltac:(lra)) threshold_five P) as E.
+  pose proof (proj1 (Theorems.Exactness five move _ _ coin V W (1/4) solved ltac:(lra)) threshold_five P) as E.
   split.
   - apply (E false p_safe (five_avail P false)). exact turn_safe.
   - intro L. apply (E true p_safe (five_avail P true)) in L. exact (proj2 L d2_dead).
 Qed.
 Example tight_five : exists s a, safe five s /\ ~ safe five (move s a) /\ Q five (1/2) W s a < 1/3.
 Proof.
-  destruct (Theorems.Tightness five move _ _ W (1/3) 2%nat half five_det HW five_boundary ltac:(lra))
+  destruct (Theorems.Tightness five move _ _ coin V W (1/3) 2%nat solved five_boundary ltac:(lra))
     as [s [a [Hs [Ha [Hn E]]]]]. exists s, a. split; auto. split; auto. apply Rnot_le_lt. intro L.
   pose proof (E (fun _ b => if b then (if a then 1 else 0) else (if a then 0 else 1)) (negb a)) as X.
   assert (Y : negb a = a); [|destruct a; discriminate]. apply X. right. split; auto.
@@ -116,7 +117,8 @@ Example self_reference_five : PerAction five (safe five) (Q five (1/2) W) (1/4) 
 Proof.
   assert (Hp : IsPolicy five (pure five (fun _ => false))) by (apply pure_policy; intro s; apply five_avail).
   destruct (Theorems.Value_exists five (1/2) 0 _ half Hp) as [U [HU _]].
-  apply (Theorems.SelfReference five move _ _ _ U W (1/4) half five_det Hp HU HW ltac:(lra) threshold_five).
+  apply (Theorems.SelfReference five move _ _ _ U W (1/4)
+    (conj half (conj five_det (conj Hp (conj HU HW)))) ltac:(lra) threshold_five).
   intros s a Hs Ha. apply supp_dirac in Ha. subst a.
   destruct s; try exact turn_safe; exfalso; [discriminate (proj1 Hs)| |].
   - apply (proj2 Hs), dead_time. exists 0%nat. exact d1_time.
@@ -125,8 +127,8 @@ Qed.
 Example learned_five : forall s a, safe five s ->
   (Q five (1/2) W s a + 1/16 < 1/8 <-> safe five (move s a)).
 Proof.
-  intros s a Hs. apply (proj1 (Theorems.Learned five move _ _ W (fun s a => Q five (1/2) W s a + 1/16) (1/16)
-    half five_det HW ltac:(intros; rewrite Rabs_pos_eq; lra)) (1/8)); auto; [lra| |apply five_avail].
+  intros s a Hs. apply (proj1 (Theorems.Learned five move _ _ coin V W (fun s a => Q five (1/2) W s a + 1/16) (1/16)
+    solved ltac:(intros; rewrite Rabs_pos_eq; lra)) (1/8)); auto; [lra| |apply five_avail].
   intros u t n Hu E T. pose proof (threshold_five u t n Hu E T). lra.
 Qed.
 (** Above the margin the learned critic is wrong: delta = 1/8 is not less than eps. *)
@@ -150,12 +152,16 @@ End Five.
 Example repaired_five : exists W, IsOptimal five (1/2) 0 W /\ StaysSafe five (Q five (1/2) W) (Q five (1/2) W) (1/4).
 Proof.
   destruct optimal_five as [W HW]. pose proof (proj2 HW) as [pi [Hpi HV]]. exists W. split; auto.
-  apply (Theorems.RRL_repaired five move (1/2) 0 pi W (1/4) half five_det Hpi HV threshold_five).
+  apply (Theorems.RRL_repaired five move (1/2) 0 pi W W (1/4)
+    (conj half (conj five_det (conj Hpi (conj HV HW)))) threshold_five).
   intros s Hs. destruct (safe_action five move five_det s Hs) as [a [Ha Hn]]. exists a. split; auto.
   rewrite (Q_next five move five_det), (target_safe five move five_det _ _ half W HW _ Hn). lra.
 Qed.
 Example expectile_five : exists V, IsExpectileValue five (1/2) 0 (3/10) coin V.
-Proof. exact (proj1 (Theorems.Expectile five _ _ (3/10) coin half ltac:(lra) coin_policy)). Qed.
+Proof.
+  destruct optimal_five as [W HW].
+  exact (proj1 (Theorems.Expectile five _ _ (3/10) coin W half ltac:(lra) coin_policy HW)).
+Qed.
 
 (** ** Stochastic: the gamble with eps = 1/2, p = 1/4 *)
 Definition even : 0 < 1/2 < 1 := ltac:(lra).
@@ -285,12 +291,12 @@ Definition Theorem1_reversed : Prop := forall M gamma vf pi V W eps region mu,
 Fail Definition wrong : Theorem1_reversed := Theorems.Theorem1.
 Lemma Theorem1_reversed_false : ~ Theorem1_reversed.
 Proof.
-  intro H. destruct optimal_five as [W HW].
+  intro H. destruct optimal_five as [W HW], value_five as [U HU].
   destruct (Theorems.Value_exists five (1/2) 0 _ half task_policy) as [V [HV _]].
   pose proof (H five _ _ _ V W (1/4) (fun s => s = P) (pure five (fun _ => false)) half task_policy HV HW) as L.
   destruct (critic_p (1/2) 0 V half HV) as [_ E].
   enough (X : Q five (1/2) V P false < 1/4) by (rewrite E in X; lra).
-  apply (L ltac:(intros s a -> Ha; apply supp_dirac in Ha; subst a; apply (exact_five W HW))); auto.
+  apply (L ltac:(intros s a -> Ha; apply supp_dirac in Ha; subst a; apply (exact_five U W HU HW))); auto.
   apply supp_dirac. reflexivity.
 Qed.
 

@@ -151,7 +151,8 @@ Proof.
     destruct (loop_exists five move (Q five (1/2) V) (Q five (1/2) V) (1/4) task P five_det) as [w [W0 [C W1]]].
     { intro t. apply five_avail. }
     assert (S : safe five (w 1%nat)).
-    { apply (Claim five move (1/2) 0 _ V (1/4) D five_det task_policy HV); auto; [lra| |].
+    { apply (Claim five move (1/2) 0 (pure five task) V (Vstar five (1/2) 0 D) (1/4)); auto; [|lra| |].
+      - exact (conj D (conj five_det (conj task_policy (conj HV (Vstar_optimal five (1/2) 0 D))))).
       - apply (threshold_boundary five (1/2) (1/4) 2); [lra|exact five_boundary|lra].
       - rewrite W0. exact p_safe. }
     rewrite W1 in S.

@@ -19,15 +19,12 @@ Definition dirac {A} (x : A) : Dist A := [(1, x)].
 Section Graph.
 Context {St : Type} (edge : St -> St -> Prop) (fail : St -> bool).
 Definition IsPath (w : nat -> St) := forall i, edge (w i) (w (S i)).
-Definition Dead s := fail s = false /\
-  forall w, IsPath w -> w 0%nat = s -> exists k, fail (w k) = true.
+Definition Dead s := fail s = false /\ forall w, IsPath w -> w 0%nat = s -> exists k, fail (w k) = true.
 Definition Safe s := fail s = false /\ ~ Dead s.
-Definition ForcedWithin n s :=
-  forall w, IsPath w -> w 0%nat = s -> exists k, (k <= n)%nat /\ fail (w k) = true.
+Definition ForcedWithin n s := forall w, IsPath w -> w 0%nat = s -> exists k, (k <= n)%nat /\ fail (w k) = true.
 (** T(s) = n: failure is forced within n steps, and within no fewer. *)
 Definition SurvivalTime s n := ForcedWithin n s /\ forall m, ForcedWithin m s -> (n <= m)%nat.
 End Graph.
-
 (** Labels when an action has several possible successors (P_min = 0, P_min < 1). *)
 Section Qualitative.
 Context {St A : Type} (avail : St -> A -> Prop) (succ : St -> A -> St -> Prop) (fail : St -> bool).
@@ -56,8 +53,7 @@ Definition edge s t := exists a, avail s a /\ succ s a t.
 Definition dead := Dead edge (fail M).
 Definition safe := Safe edge (fail M).
 Definition time := SurvivalTime edge (fail M).
-Definition Deterministic (next : State M -> Action M -> State M) :=
-  forall s a, step M s a = dirac (next s a).
+Definition Deterministic (next : State M -> Action M -> State M) := forall s a, step M s a = dirac (next s a).
 (** H_b: the longest survival time that one action enters from a safe state. *)
 Definition BoundaryHorizon h := (exists s t, safe s /\ edge s t /\ time t h) /\
   forall s t n, safe s -> edge s t -> time t n -> (n <= h)%nat.
@@ -81,16 +77,14 @@ Definition IsOptimal V :=
   exists pi, IsPolicy pi /\ IsValue pi V.
 (** eps is at most gamma^T(t) for every unsafe t that a safe state can enter. *)
 Definition SoundThreshold eps := forall s t n, safe s -> edge s t -> time t n -> eps <= gamma ^ n.
-
 (** The policy sets, in both readings, over a region of states. *)
-Definition PerAction (region : State M -> Prop) (q : State M -> Action M -> R) eps (pi : Policy) :=
+Definition Critic := State M -> Action M -> R.
+Definition PerAction (region : State M -> Prop) (q : Critic) eps (pi : Policy) :=
   forall s a, region s -> Supp (pi s) a -> q s a < eps.
-Definition InExpectation (region : State M -> Prop) (q : State M -> Action M -> R) eps (pi : Policy) :=
+Definition InExpectation (region : State M -> Prop) (q : Critic) eps (pi : Policy) :=
   forall s, region s -> expect (pi s) (q s) < eps.
-
 (** Behavior correction: action b is executed when the task policy proposes a. *)
-Definition Argmin (q : State M -> Action M -> R) s b :=
-  avail s b /\ forall a, avail s a -> q s b <= q s a.
+Definition Argmin (q : Critic) s b := avail s b /\ forall a, avail s a -> q s b <= q s a.
 Definition Executes gate recovery eps s a b :=
   (gate s a < eps /\ b = a) \/ (eps <= gate s a /\ Argmin recovery s b).
 (** The closed loop: any available proposals, any tie-break among the minimisers. *)
@@ -98,21 +92,18 @@ Definition ClosedLoop gate recovery eps (w : nat -> State M) := forall i, exists
   avail (w i) a /\ Executes gate recovery eps (w i) a b /\ succ (w i) b (w (S i)).
 Definition StaysSafe gate recovery eps :=
   forall w, ClosedLoop gate recovery eps w -> safe (w 0%nat) -> forall k, safe (w k).
-
 (** What the paper trains: V minimises the expectile loss of Q under the data policy mu. *)
 Definition expectile_loss tau u := (if Rlt_dec u 0 then 1 - tau else tau) * (u * u).
 Definition IsExpectile tau (d : Dist (Action M)) (f : Action M -> R) m :=
   forall x, expect d (fun a => expectile_loss tau (f a - m)) <= expect d (fun a => expectile_loss tau (f a - x)).
-Definition IsExpectileValue tau (mu : Policy) V := forall s,
-  if fail M s then V s = vf else IsExpectile tau (mu s) (Q V s) (V s).
+Definition IsExpectileValue tau (mu : Policy) V :=
+  forall s, if fail M s then V s = vf else IsExpectile tau (mu s) (Q V s) (V s).
 
 (** ** Undiscounted: failure within n steps; policies and proposals may depend on the past. *)
 Definition HistoryPolicy := list (State M) -> Policy.
 Fixpoint failing (pi : HistoryPolicy) n past s : R :=
   if fail M s then 1 else match n with
-  | O => 0
-  | S m => expect (pi past s) (fun a => expect (step M s a) (failing pi m (s :: past)))
-  end.
+  | O => 0 | S m => expect (pi past s) (fun a => expect (step M s a) (failing pi m (s :: past))) end.
 (** X = P_min(eventually fail), attained by a memoryless policy. *)
 Definition IsMinFailure X :=
   (forall pi, (forall past, IsPolicy (pi past)) ->
@@ -124,24 +115,21 @@ Definition corrected X eps (rec : State M -> Action M) s a := if Rlt_dec (chance
 (** Probability that the corrected agent has not failed after n steps. *)
 Fixpoint surviving X eps rec (task : HistoryPolicy) n past s : R :=
   if fail M s then 0 else match n with
-  | O => 1
-  | S m => expect (task past s) (fun a =>
-             expect (step M s (corrected X eps rec s a)) (surviving X eps rec task m (s :: past)))
-  end.
+  | O => 1 | S m => expect (task past s) (fun a =>
+             expect (step M s (corrected X eps rec s a)) (surviving X eps rec task m (s :: past))) end.
 Definition prob (d : Dist (State M)) (B : State M -> bool) := expect d (fun t => if B t then 1 else 0).
 End Model.
 
 (** * The statements *)
 Definition Discount gamma vf := 0 < gamma < 1 /\ 0 <= vf <= 1.
-
 (** ** Labels and horizon (all finite models; with chance, "dead" means: all paths fail) *)
 Definition Partition_statement : Prop := forall M s,
   (fail M s = true \/ dead M s \/ safe M s) /\
   (safe M s <-> exists w, IsPath (edge M) w /\ w 0%nat = s /\ forall k, fail M (w k) = false) /\
   (safe M s -> exists t, edge M s t /\ safe M t).
 (** Assumption 1 holds by itself: H <= |S_dead| ([D] is any list that holds the dead states). *)
-Definition Horizon_statement : Prop := forall M (D : list (State M)), (forall s, dead M s -> In s D) ->
-  forall s, dead M s -> exists n, (1 <= n <= length D)%nat /\ time M s n.
+Definition Horizon_statement : Prop := forall M (D : list (State M)) s, (forall t, dead M t -> In t D) ->
+  dead M s -> exists n, (1 <= n <= length D)%nat /\ time M s n.
 Definition Acyclic_statement : Prop := forall M w i j, IsPath (edge M) w -> (i < j)%nat ->
   (forall k, (i <= k <= j)%nat -> dead M (w k)) -> w i <> w j.
 Definition SurvivalTime_statement : Prop := forall M s,
@@ -158,56 +146,50 @@ Definition Threshold_statement : Prop := forall M gamma eps, 0 < gamma < 1 ->
   (NoUnsafeSuccessor M -> SoundThreshold M gamma eps) /\
   (forall H, (forall s n, dead M s -> time M s n -> (n <= H)%nat) -> eps <= gamma ^ H ->
      SoundThreshold M gamma eps /\ forall h, BoundaryHorizon M h -> (h <= H)%nat).
-
 (** ** Existence of the values (all finite models) *)
 Definition Value_exists_statement : Prop := forall M gamma vf pi, Discount gamma vf -> IsPolicy M pi ->
-  exists V, IsValue M gamma vf pi V /\
-  forall V', IsValue M gamma vf pi V' <->
+  exists V, IsValue M gamma vf pi V /\ forall V', IsValue M gamma vf pi V' <->
     (forall s, 0 <= V' s <= 1) /\ forall s, V' s = backup M gamma vf pi V' s.
 Definition Optimal_exists_statement : Prop := forall M gamma vf, Discount gamma vf ->
   exists V, IsOptimal M gamma vf V /\ forall V', IsOptimal M gamma vf V' <->
     (forall s, 0 <= V' s <= 1) /\ (forall s, fail M s = true -> V' s = vf) /\
     forall s, fail M s = false -> (forall a, avail M s a -> V' s <= Q M gamma V' s a) /\
                                   exists a, avail M s a /\ V' s = Q M gamma V' s a.
-
-(** ** Deterministic models *)
+(** ** Deterministic models: V is the value of a policy pi, W the optimal one. *)
+Definition Solved M next gamma vf pi V W := Discount gamma vf /\ Deterministic M next /\
+  IsPolicy M pi /\ IsValue M gamma vf pi V /\ IsOptimal M gamma vf W.
 Definition Lemma1_bullet1_statement : Prop := forall M gamma vf pi V W s, Discount gamma vf ->
   IsValue M gamma vf pi V -> IsOptimal M gamma vf W -> fail M s = true ->
   V s = vf /\ W s = vf /\ target M gamma V s = 1.
 Definition Lemma1_bullet2_statement : Prop := forall M next gamma vf pi V W s,
-  Discount gamma vf -> Deterministic M next -> IsPolicy M pi -> IsValue M gamma vf pi V ->
-  IsOptimal M gamma vf W -> dead M s ->
+  Solved M next gamma vf pi V W -> dead M s ->
   W s <= V s /\ (forall n, time M s (S n) -> W s = gamma ^ n /\ target M gamma W s = gamma ^ S n) /\
   forall H, (forall t n, dead M t -> time M t n -> (n <= H)%nat) ->
     gamma ^ (H - 1) <= W s /\ gamma ^ H <= target M gamma W s.
 Definition Lemma1_bullet3_statement : Prop := forall M next gamma vf pi V W s,
-  Discount gamma vf -> Deterministic M next -> IsPolicy M pi -> IsValue M gamma vf pi V ->
-  IsOptimal M gamma vf W -> safe M s -> 0 <= V s /\ W s = 0.
-Definition Positive_value_statement : Prop := forall M next gamma vf W s,
-  Discount gamma vf -> Deterministic M next -> IsOptimal M gamma vf W ->
-  0 < W s <-> dead M s \/ (fail M s = true /\ 0 < vf).
-(** The gate of any critic V >= V*, such as Q^pi of any policy, is sound. *)
-Definition Theorem2_task_statement : Prop := forall M next gamma vf pi V eps s a,
-  Discount gamma vf -> Deterministic M next -> IsPolicy M pi -> IsValue M gamma vf pi V ->
-  SoundThreshold M gamma eps -> safe M s -> avail M s a -> Q M gamma V s a < eps -> safe M (next s a).
-Definition Theorem2_recovery_statement : Prop := forall M next gamma vf W s b,
-  Discount gamma vf -> Deterministic M next -> IsOptimal M gamma vf W ->
-  safe M s -> Argmin M (Q M gamma W) s b -> safe M (next s b).
+  Solved M next gamma vf pi V W -> safe M s -> 0 <= V s /\ W s = 0.
+Definition Positive_value_statement : Prop := forall M next gamma vf pi V W s,
+  Solved M next gamma vf pi V W -> 0 < W s <-> dead M s \/ (fail M s = true /\ 0 < vf).
+(** The gate of Q^pi is sound, for any policy; every minimiser of Q* is safe; both together. *)
+Definition Theorem2_task_statement : Prop := forall M next gamma vf pi V W eps s a,
+  Solved M next gamma vf pi V W -> SoundThreshold M gamma eps ->
+  safe M s -> avail M s a -> Q M gamma V s a < eps -> safe M (next s a).
+Definition Theorem2_recovery_statement : Prop := forall M next gamma vf pi V W s b,
+  Solved M next gamma vf pi V W -> safe M s -> Argmin M (Q M gamma W) s b -> safe M (next s b).
 Definition Theorem2_statement : Prop := forall M next gamma vf pi V W eps,
-  Discount gamma vf -> Deterministic M next -> IsPolicy M pi -> IsValue M gamma vf pi V ->
-  IsOptimal M gamma vf W -> SoundThreshold M gamma eps ->
+  Solved M next gamma vf pi V W -> SoundThreshold M gamma eps ->
   StaysSafe M (Q M gamma W) (Q M gamma W) eps /\ StaysSafe M (Q M gamma V) (Q M gamma W) eps.
-Definition Exactness_statement : Prop := forall M next gamma vf W eps,
-  Discount gamma vf -> Deterministic M next -> IsOptimal M gamma vf W -> 0 < eps ->
-  (SoundThreshold M gamma eps <-> forall s a, safe M s -> avail M s a -> (Q M gamma W s a < eps <-> safe M (next s a))).
-Definition Tightness_statement : Prop := forall M next gamma vf W eps h,
-  Discount gamma vf -> Deterministic M next -> IsOptimal M gamma vf W ->
-  BoundaryHorizon M h -> gamma ^ h < eps ->
+(** Allowed <=> leads to a safe state, exactly for the sound thresholds; above them, a way out. *)
+Definition Exactness_statement : Prop := forall M next gamma vf pi V W eps,
+  Solved M next gamma vf pi V W -> 0 < eps ->
+  (SoundThreshold M gamma eps <->
+   forall s a, safe M s -> avail M s a -> (Q M gamma W s a < eps <-> safe M (next s a))).
+Definition Tightness_statement : Prop := forall M next gamma vf pi V W eps h,
+  Solved M next gamma vf pi V W -> BoundaryHorizon M h -> gamma ^ h < eps ->
   exists s a, safe M s /\ avail M s a /\ ~ safe M (next s a) /\
     forall recovery b, Executes M (Q M gamma W) recovery eps s a b -> b = a.
-(** The paper's sentence about RRL (critic and recovery from Q^pi), and its refutation. *)
-Definition RRL_claim : Prop := forall M next gamma vf pi V eps,
-  Discount gamma vf -> Deterministic M next -> IsPolicy M pi -> IsValue M gamma vf pi V ->
+(** The paper's sentence about RRL (critic and recovery from Q^pi), its refutation, its repair. *)
+Definition RRL_claim : Prop := forall M next gamma vf pi V W eps, Solved M next gamma vf pi V W ->
   0 < eps -> SoundThreshold M gamma eps -> StaysSafe M (Q M gamma V) (Q M gamma V) eps.
 Definition RRL_refuted_statement : Prop := ~ RRL_claim /\
   exists M next task s, Deterministic M next /\ length (states M) = 5%nat /\
@@ -215,33 +197,31 @@ Definition RRL_refuted_statement : Prop := ~ RRL_claim /\
   forall gamma vf eps V, Discount gamma vf -> IsValue M gamma vf (pure M task) V ->
   let rrl := Executes M (Q M gamma V) (Q M gamma V) eps s (task s) in
   (exists b, rrl b) /\ forall b, rrl b -> dead M (next s b).
-Definition RRL_repaired_statement : Prop := forall M next gamma vf pi V eps,
-  Discount gamma vf -> Deterministic M next -> IsPolicy M pi -> IsValue M gamma vf pi V ->
-  SoundThreshold M gamma eps -> (forall s, safe M s -> exists a, avail M s a /\ Q M gamma V s a < eps) ->
+Definition RRL_repaired_statement : Prop := forall M next gamma vf pi V W eps,
+  Solved M next gamma vf pi V W -> SoundThreshold M gamma eps ->
+  (forall s, safe M s -> exists a, avail M s a /\ Q M gamma V s a < eps) ->
   StaysSafe M (Q M gamma V) (Q M gamma V) eps.
 Definition SelfReference_statement : Prop := forall M next gamma vf pi V W eps,
-  Discount gamma vf -> Deterministic M next -> IsPolicy M pi -> IsValue M gamma vf pi V ->
-  IsOptimal M gamma vf W -> 0 < eps -> SoundThreshold M gamma eps ->
+  Solved M next gamma vf pi V W -> 0 < eps -> SoundThreshold M gamma eps ->
   let stays := forall s a, safe M s -> Supp (pi s) a -> safe M (next s a) in
   (PerAction M (safe M) (Q M gamma V) eps pi <-> stays) /\
   (PerAction M (safe M) (Q M gamma W) eps pi <-> stays).
 (** A learned critic q with uniform error delta. *)
-Definition Learned_statement : Prop := forall M next gamma vf W q delta,
-  Discount gamma vf -> Deterministic M next -> IsOptimal M gamma vf W ->
+Definition Learned_statement : Prop := forall M next gamma vf pi V W q delta,
+  Solved M next gamma vf pi V W ->
   (forall s a, avail M s a -> Rabs (q s a - Q M gamma W s a) <= delta) ->
   (forall eps, delta < eps -> SoundThreshold M gamma (eps + delta) ->
      forall s a, safe M s -> avail M s a -> (q s a < eps <-> safe M (next s a))) /\
   (forall e, 2 * delta < e -> SoundThreshold M gamma e ->
      forall s b, safe M s -> Argmin M q s b -> safe M (next s b)).
 (** The expectile critic exists, is at least Q*, and its gate is sound. *)
-Definition Expectile_statement : Prop := forall M gamma vf tau mu,
-  Discount gamma vf -> 0 < tau < 1 -> IsPolicy M mu ->
+Definition Expectile_statement : Prop := forall M gamma vf tau mu W,
+  Discount gamma vf -> 0 < tau < 1 -> IsPolicy M mu -> IsOptimal M gamma vf W ->
   (exists V, IsExpectileValue M gamma vf tau mu V) /\
-  forall V W, IsExpectileValue M gamma vf tau mu V -> IsOptimal M gamma vf W ->
+  forall V, IsExpectileValue M gamma vf tau mu V ->
   (forall s, W s <= V s) /\ (forall s a, Q M gamma W s a <= Q M gamma V s a) /\
   forall next eps, Deterministic M next -> SoundThreshold M gamma eps ->
     forall s a, safe M s -> avail M s a -> Q M gamma V s a < eps -> safe M (next s a).
-
 (** ** Stochastic models *)
 (** Theorem 1, for any region (the paper's S_safe is one), both readings. *)
 Definition Theorem1_statement : Prop := forall M gamma vf pi V W eps region mu,

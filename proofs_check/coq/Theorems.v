@@ -10,7 +10,7 @@ Proof.
 Qed.
 
 Theorem Horizon : Horizon_statement.
-Proof. intros M D HD s Ds. now apply dead_horizon. Qed.
+Proof. intros M D s. apply dead_horizon. Qed.
 
 Theorem Acyclic : Acyclic_statement.
 Proof. intros M w i j. apply dead_no_cycle. Qed.
@@ -52,7 +52,7 @@ Qed.
 
 Theorem Lemma1_bullet2 : Lemma1_bullet2_statement.
 Proof.
-  intros M next gamma vf pi V W s D Det Hpi HV HW Ds.
+  intros M next gamma vf pi V W s (D & Det & Hpi & HV & HW) Ds.
   split; [now apply (optimal_le_value M gamma vf W pi V)|]. split.
   - intros n T. split; [now apply (optimal_dead M next Det gamma vf D W HW)|].
     exact (target_time M next Det gamma vf D W HW (S n) s T).
@@ -63,30 +63,35 @@ Qed.
 
 Theorem Lemma1_bullet3 : Lemma1_bullet3_statement.
 Proof.
-  intros M next gamma vf pi V W s D Det Hpi HV HW Hs. split.
+  intros M next gamma vf pi V W s (D & Det & Hpi & HV & HW) Hs. split.
   - apply value_iff in HV; auto. now apply HV.
   - now apply (optimal_safe M next Det gamma vf D W HW).
 Qed.
 
 Theorem Positive_value : Positive_value_statement.
-Proof. intros M next gamma vf W s D Det HW. now apply (optimal_positive M next Det gamma vf D W HW). Qed.
+Proof.
+  intros M next gamma vf pi V W s (D & Det & _ & _ & HW).
+  now apply (optimal_positive M next Det gamma vf D W HW).
+Qed.
 
 Theorem Theorem2_task : Theorem2_task_statement.
 Proof.
-  intros M next gamma vf pi V eps s a D Det Hpi HV HS Hs Ha L.
-  apply (gate_sound M next Det gamma vf D (Vstar M gamma vf D) (Vstar_optimal M gamma vf D) V eps s a); auto.
-  apply (optimal_le_value M gamma vf _ pi V); auto. apply Vstar_optimal.
+  intros M next gamma vf pi V W eps s a (D & Det & Hpi & HV & HW) HS Hs Ha L.
+  apply (gate_sound M next Det gamma vf D W HW V eps s a); auto.
+  now apply (optimal_le_value M gamma vf W pi V).
 Qed.
 
 Theorem Theorem2_recovery : Theorem2_recovery_statement.
-Proof. intros M next gamma vf W s b D Det HW. now apply (recovery_safe M next Det gamma vf D W HW). Qed.
+Proof.
+  intros M next gamma vf pi V W s b (D & Det & _ & _ & HW).
+  now apply (recovery_safe M next Det gamma vf D W HW).
+Qed.
 
 Theorem Theorem2 : Theorem2_statement.
 Proof.
-  intros M next gamma vf pi V W eps D Det Hpi HV HW HS.
-  assert (R : forall s a b, safe M s -> avail M s a -> True -> Argmin M (Q M gamma W) s b -> safe M (next s b))
-    by (intros s a b Hs _ _; now apply (recovery_safe M next Det gamma vf D W HW)).
-  split; apply (stays_safe M next Det); intros s a; try (intros b Hs Ha _; now apply (R s a b)).
+  intros M next gamma vf pi V W eps (D & Det & Hpi & HV & HW) HS.
+  split; apply (stays_safe M next Det); intros s a;
+    try (intros b Hs _ _; now apply (recovery_safe M next Det gamma vf D W HW)).
   - apply (gate_sound M next Det gamma vf D W HW W eps s a); auto. intro t. Lra.lra.
   - apply (gate_sound M next Det gamma vf D W HW V eps s a); auto.
     now apply (optimal_le_value M gamma vf W pi V).
@@ -94,42 +99,44 @@ Qed.
 
 Theorem Exactness : Exactness_statement.
 Proof.
-  intros M next gamma vf W eps D Det HW He. split.
+  intros M next gamma vf pi V W eps (D & Det & _ & _ & HW) He. split.
   - intros HS s a. now apply (exactness M next Det gamma vf D W HW eps).
   - now apply (exact_threshold M next Det gamma vf D W HW eps).
 Qed.
 
 Theorem Tightness : Tightness_statement.
-Proof. intros M next gamma vf W eps h D Det HW. now apply (tightness M next Det gamma vf D W HW). Qed.
+Proof.
+  intros M next gamma vf pi V W eps h (D & Det & _ & _ & HW).
+  now apply (tightness M next Det gamma vf D W HW).
+Qed.
 
 Theorem RRL_refuted : RRL_refuted_statement.
 Proof. exact rrl_refuted. Qed.
 
 Theorem RRL_repaired : RRL_repaired_statement.
 Proof.
-  intros M next gamma vf pi V eps D Det Hpi HV HS Some.
-  apply (repaired M next Det gamma vf D (Vstar M gamma vf D)); auto; [apply Vstar_optimal|].
-  apply (optimal_le_value M gamma vf _ pi V); auto. apply Vstar_optimal.
+  intros M next gamma vf pi V W eps (D & Det & Hpi & HV & HW) HS Some.
+  apply (repaired M next Det gamma vf D W); auto. now apply (optimal_le_value M gamma vf W pi V).
 Qed.
 
 Theorem SelfReference : SelfReference_statement.
 Proof.
-  intros M next gamma vf pi V W eps D Det Hpi HV HW He HS. split.
+  intros M next gamma vf pi V W eps (D & Det & Hpi & HV & HW) He HS. split.
   - now apply (self_reference_pi M next Det gamma vf D pi V W eps).
   - now apply (self_reference_optimal M next Det gamma vf D pi W eps).
 Qed.
 
 Theorem Learned : Learned_statement.
 Proof.
-  intros M next gamma vf W q delta D Det HW Near. split.
+  intros M next gamma vf pi V W q delta (D & Det & _ & _ & HW) Near. split.
   - now apply (learned_gate M next Det gamma vf D W HW q delta Near).
   - now apply (learned_recovery M next Det gamma vf D W HW q delta Near).
 Qed.
 
 Theorem Expectile : Expectile_statement.
 Proof.
-  intros M gamma vf tau mu D Ht Hmu. split; [now apply expectile_value_exists|].
-  intros V W HV HW. pose proof (optimal_le_expectile tau Ht M gamma vf D mu Hmu V W HV HW) as L.
+  intros M gamma vf tau mu W D Ht Hmu HW. split; [now apply expectile_value_exists|].
+  intros V HV. pose proof (optimal_le_expectile tau Ht M gamma vf D mu Hmu V W HV HW) as L.
   split; [exact L|]. split; [intros s a; now apply (Q_le M gamma vf D)|].
   intros next eps Det HS s a. now apply (gate_sound M next Det gamma vf D W HW V eps s a).
 Qed.
