@@ -6,6 +6,7 @@ scipy.sparse is imported only by those who need it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from fractions import Fraction
 from itertools import pairwise
@@ -99,7 +100,12 @@ def _build_exact(
             indptr.append(len(indices))
     exact = tuple(data)
     kernel = sparse.csr_array(
-        (np.array([float(p) for p in exact]), np.array(indices, dtype=np.int32), np.array(indptr)),
+        (
+            # What is possible stays so: no Fraction is rounded to 0.
+            np.array([max(float(p), math.ulp(0.0)) for p in exact]),
+            np.array(indices, dtype=np.int32),
+            np.array(indptr),
+        ),
         shape=(num_states * num_actions, num_states),
     )
     empty = np.diff(kernel.indptr) == 0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from dead_ends import Geometry, SafeMDP
+from dead_ends import Geometry, SafeMDP, value_iteration
 
 FAIL_LAST = np.array([False, False, True])
 CHAIN = np.array([[0, 1], [2, 2], [0, 0]], dtype=np.int32)
@@ -118,6 +118,15 @@ def test_fractions_are_kept() -> None:
     P = np.array([[[third, 1 - third]], [[0, 1]]], dtype=object)
     model = SafeMDP.stochastic(P, np.array([False, False]))
     assert model.exact_probabilities() == (third, 1 - third, Fraction(1))
+
+
+def test_no_fraction_is_rounded_to_zero() -> None:
+    tiny = Fraction(1, 10**400)
+    P = np.array([[[1 - tiny, tiny]], [[0, 0]]], dtype=object)
+    model = SafeMDP.stochastic(P, np.array([False, True]))
+    assert model.transitions().data.tolist() == [1.0, 5e-324]
+    assert model.exact == (1 - tiny, tiny)
+    assert value_iteration(model, 0.5).Q_upper[0, 0] > 0
 
 
 def test_floats_are_read_as_their_shortest_decimal() -> None:
