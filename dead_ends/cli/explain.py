@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from dead_ends.cli.source import add_source_arguments, find_state, read_source
+from dead_ends.cli.source import add_source_arguments, read_source
 
 SUMMARY = "say why a state is lost, safe or at risk"
 
@@ -16,9 +16,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     model = read_source(arguments)
-    state = find_state(model, arguments.state)
 
     from dead_ends.explanation import explain
 
-    print(explain(model, state).text)
+    print(explain(model, arguments.state).text)
     return 0

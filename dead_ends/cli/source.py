@@ -98,20 +98,6 @@ def parse_argument(text: str) -> tuple[str, Any]:
         return key, value
 
 
-def find_state(model: SafeMDP, text: str) -> int:
-    """The state with this name, or else with this number.
-
-    Raises:
-        ValueError: if there is no such state.
-    """
-    if model.state_names is not None and text in model.state_names:
-        return model.state_names.index(text)
-    if text.isdecimal() and int(text) < model.num_states:
-        return int(text)
-    named = "" if model.state_names is None else " and no state has that name"
-    raise ValueError(f"state {text}: states are numbered 0 to {model.num_states - 1}{named}")
-
-
 def print_rows(rows: Sequence[tuple[str, Any]]) -> None:
     """Names and values in two columns."""
     width = max(len(name) for name, _ in rows)
