@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from dead_ends.memory import require_memory
 from dead_ends.model import SafeMDP
 from dead_ends.results import INFINITE, Label, Labelling
 
@@ -32,9 +33,14 @@ def classify(model: SafeMDP) -> Labelling:
     Exact: decided on integers. Linear in the transitions, whatever H and the numbering.
 
     Source: Definition 2 and Assumption 1 of the paper.
+
+    Raises:
+        MemoryError: if the model is so large that the work does not fit the memory, before
+            it starts.
     """
     from dead_ends.retrograde import labels_of, survival_times
 
+    require_memory(_bytes_needed(model), f"labelling {model.num_states:,} states")
     time = survival_times(model)
     if model.is_deterministic:
         labels, horizon = labels_of(time)
@@ -73,6 +79,14 @@ def safe_actions(model: SafeMDP, labelling: Labelling | None = None) -> NDArray[
     allowed = choices.reshape(model.num_states, model.num_actions)
     allowed.flags.writeable = False
     return allowed
+
+
+def _bytes_needed(model: SafeMDP) -> int:
+    """What the solver holds at its peak beside the model (see retrograde and qualitative)."""
+    if model.is_deterministic:
+        return 13 * model.num_states
+    choices = model.num_states * model.num_actions
+    return 8 * model.transitions().nnz + 30 * model.num_states + 2 * choices
 
 
 def _graph(model: SafeMDP) -> Graph:

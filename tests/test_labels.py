@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dead_ends import INFINITE, Label, SafeMDP, classify, safe_actions
+from dead_ends import INFINITE, Label, SafeMDP, classify, memory, safe_actions
 
 F, D, S = Label.FAIL, Label.DEAD, Label.SAFE
 
@@ -195,6 +195,16 @@ def test_safe_actions_of_another_model_are_refused() -> None:
     labelling = classify(corridor(3, outside=True))
     with pytest.raises(ValueError, match=r"^the labelling has 5 states, the model 6$"):
         safe_actions(corridor(4, outside=True), labelling)
+
+
+def test_what_does_not_fit_the_memory_is_refused_before_it_starts(monkeypatch) -> None:
+    monkeypatch.setattr(memory, "GIB", 100)
+    monkeypatch.setattr(memory, "available_memory", lambda: 50)
+    with pytest.raises(MemoryError, match=r"^labelling 11 states needs 1\.4 GiB of memory"):
+        classify(corridor(10, outside=False))
+    stochastic = SafeMDP.stochastic(np.full((3, 1, 3), 1 / 3), np.array([True, False, False]))
+    with pytest.raises(MemoryError, match=r"^labelling 3 states needs 1\.4 GiB of memory"):
+        classify(stochastic)
 
 
 def test_numba_is_imported_at_the_first_solve_only() -> None:
