@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from importlib import import_module
 from itertools import product
 from typing import Any
 
@@ -38,6 +39,8 @@ def make_environment(environment: Any, arguments: Mapping[str, Any] | None = Non
     gymnasium = optional_module("gymnasium", "an environment id", "gym")
     if not isinstance(environment, str):
         return environment
+    if environment.startswith("dead_ends/"):
+        import_module("dead_ends.envs.registration")
     try:
         return gymnasium.make(environment, **(arguments or {}))
     except (gymnasium.error.Error, ModuleNotFoundError, TypeError, KeyError) as error:
@@ -58,7 +61,7 @@ def load_gymnasium(
     also pass through the target. The model's rewards are the expected rewards of ``P``.
 
     Args:
-        environment: an id or an environment.
+        environment: an id or an environment; one that steps a safe MDP gives that model.
         fail_states: a mask (S,) or numbers of states. Without it and ``fail_if`` the rules
             of a known environment decide.
         fail_if: a condition on (s, a, r, s'), as text or a function; the transitions that
@@ -73,6 +76,9 @@ def load_gymnasium(
     name = environment if isinstance(environment, str) else str(env)
     with located(name):
         unwrapped = env.unwrapped
+        own = getattr(unwrapped, "model", None)
+        if isinstance(own, SafeMDP) and fail_states is None and fail_if is None:
+            return own
         if not hasattr(unwrapped, "P"):
             raise ValueError("the environment has no transition table P")
         rules = _RULES.get(type(unwrapped).__name__, _Rules())

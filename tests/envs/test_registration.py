@@ -12,6 +12,7 @@ from dead_ends import SafeMDP, classify
 from dead_ends.envs import registration
 from dead_ends.envs.bridge import bridge
 from dead_ends.envs.safe_mdp_env import SafeMDPEnv
+from dead_ends.io import load_model
 
 IDS = ["dead_ends/Brake-v0", "dead_ends/IceGrid-v0"]
 
@@ -85,6 +86,21 @@ def test_table_is_the_model(slip: float) -> None:
     kernel = model.transitions().toarray()
     np.testing.assert_array_equal(P.reshape(kernel.shape)[going], kernel[going])
     assert all(env.P[s][0] == [(1.0, s, 0.0, True)] for s in np.flatnonzero(model.fail).tolist())
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_load_model_gives_the_model_that_is_stepped(env_id: str) -> None:
+    env = gymnasium.make(env_id)
+    assert load_model(env) is model_of(env)
+    loaded = load_model(env_id)
+    np.testing.assert_array_equal(loaded.next_state, model_of(env).next_state)
+    np.testing.assert_array_equal(loaded.fail, model_of(env).fail)
+    assert loaded.geometry is not None
+
+
+def test_load_model_takes_other_fail_states_from_the_table() -> None:
+    loaded = load_model("dead_ends/IceGrid-v0", fail_states=[0])
+    np.testing.assert_array_equal(np.flatnonzero(loaded.fail), [0])
 
 
 def test_stochastic_steps_have_the_models_frequencies() -> None:
