@@ -47,8 +47,8 @@ def ice_grid_env(
     text: str | Sequence[str] = DEFAULT_MAP, slip: float = 0.0, render_mode: str | None = None
 ) -> SafeMDPEnv:
     """``dead_ends/IceGrid-v0``: ice and currents, see :mod:`dead_ends.envs.gridworld`."""
-    colour = dict.fromkeys(CURRENTS, CURRENT) | {"~": ICE}
-    ground = [colour.get(symbol, FLOOR) for symbol in parse_map(text).values() if symbol != "#"]
+    color = dict.fromkeys(CURRENTS, CURRENT) | {"~": ICE}
+    ground = [color.get(symbol, FLOOR) for symbol in parse_map(text).values() if symbol != "#"]
     return SafeMDPEnv(gridworld(text, slip), render_mode, np.array(ground, dtype=np.uint8))
 
 

@@ -25,8 +25,8 @@ PICTURE_SIZE = 480
 """About how many pixels wide or high a picture is."""
 
 FLOOR, WALL, FAIL, GOAL, AGENT = (
-    np.array(colour, dtype=np.uint8)
-    for colour in ((238, 238, 232), (60, 60, 66), (200, 60, 50), (70, 150, 90), (240, 140, 20))
+    np.array(color, dtype=np.uint8)
+    for color in ((238, 238, 232), (60, 60, 66), (200, 60, 50), (70, 150, 90), (240, 140, 20))
 )
 
 Outcome = tuple[float, int, float, bool]
@@ -43,7 +43,7 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
     Args:
         model: a model with initial states.
         render_mode: "rgb_array" (needs a geometry), "ansi" or None.
-        colours: uint8 (S, 3), the ground in each state's cell; None: all alike.
+        colors: uint8 (S, 3), the ground in each state's cell; None: all alike.
 
     Attributes:
         model: the model.
@@ -59,7 +59,7 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
         self,
         model: SafeMDP,
         render_mode: str | None = None,
-        colours: NDArray[np.uint8] | None = None,
+        colors: NDArray[np.uint8] | None = None,
     ) -> None:
         if model.initial is None:
             raise ValueError("the model has no initial states to start an episode in")
@@ -69,7 +69,7 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
             raise ValueError("the model has no geometry to draw; render it as ansi")
         self.model = model
         self.render_mode = render_mode
-        self._ground = np.tile(FLOOR, (model.num_states, 1)) if colours is None else colours
+        self._ground = np.tile(FLOOR, (model.num_states, 1)) if colors is None else colors
         self.observation_space: spaces.Space[Any] = spaces.Discrete(model.num_states)
         self.action_space: spaces.Space[Any] = spaces.Discrete(model.num_actions)
         self.state = int(np.flatnonzero(model.initial)[0])
@@ -173,17 +173,17 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
         image = np.full((rows, columns, 3), 255, dtype=np.uint8)
         drawn = geometry.cell[:, 0] >= 0
         column, row = geometry.cell[drawn].T
-        image[row, column] = self._colours()[drawn]
+        image[row, column] = self._colors()[drawn]
         image[walls[:, 1], walls[:, 0]] = WALL
         if not geometry.y_down:
             image = image[::-1]
         pixels = max(1, PICTURE_SIZE // max(rows, columns))
         return image.repeat(pixels, axis=0).repeat(pixels, axis=1)
 
-    def _colours(self) -> NDArray[np.uint8]:
-        """(S, 3), the colour of each state's cell."""
-        colours = self._ground.copy()
-        colours[self.model.fail] = FAIL
-        colours[self.model.terminal] = GOAL
-        colours[self.state] = AGENT
-        return colours
+    def _colors(self) -> NDArray[np.uint8]:
+        """(S, 3), the color of each state's cell."""
+        colors = self._ground.copy()
+        colors[self.model.fail] = FAIL
+        colors[self.model.terminal] = GOAL
+        colors[self.state] = AGENT
+        return colors
