@@ -9,9 +9,10 @@ The four actions move one cell; a move into a wall stays. A move that enters ice
 its direction until it leaves the ice or hits a wall. With slip probability p an action goes
 to its left or right instead, p/2 each; currents do not slip.
 
-An agent on floor can walk into a wall for ever, and lava alone makes no dead-ends: those
-need a current that ends in lava (its cells die one after another, so T counts them) or ice
-whose every way out does. FrozenLake and MiniGrid's lava maps have neither.
+Lava alone makes no dead-ends but floor that it encloses on all four sides: elsewhere the
+agent can walk to and fro, or into a wall, for ever. Dead-ends need a current that ends in
+lava (its cells die one after another, T counts them) or ice whose every way out does.
+FrozenLake and MiniGrid's lava maps have neither.
 """
 
 from __future__ import annotations

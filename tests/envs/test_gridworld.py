@@ -106,6 +106,14 @@ def test_lava_without_ice_or_currents_makes_no_dead_ends() -> None:
     assert labelling.boundary_horizon == 0
 
 
+def test_floor_enclosed_by_lava_is_dead() -> None:
+    model = gridworld([".L.", "LSL", ".L."])
+    labelling = classify(model)
+    np.testing.assert_array_equal(np.flatnonzero(labelling.dead), [at(model, 1, 1)])
+    assert labelling.horizon == 1
+    assert labelling.safe[at(model, 0, 0)]  # into the border for ever
+
+
 def test_goal_is_terminal_and_rewarded_lava_is_a_failure() -> None:
     model = gridworld(["SG", "L."])
     np.testing.assert_array_equal(model.terminal, [False, True, False, False])
