@@ -19,78 +19,75 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-_MODULE_OF = {
-    "allowed_actions": "policies",
-    "behavior_correction": "correction",
-    "classify": "labels",
-    "conservatism": "methods",
-    "corrected_model": "correction",
-    "CriticConvention": "conventions",
-    "dea_rrl": "methods",
-    "dea_rrl_expectile": "methods",
-    "estimate_model": "estimation",
-    "evaluate_policy": "bellman",
-    "expectile_iteration": "expectile",
-    "explain": "explanation",
-    "Geometry": "model",
-    "greedy_actions": "policies",
-    "in_policy_set": "policies",
-    "INFINITE": "results",
-    "Label": "results",
-    "Labelling": "results",
-    "plan": "planning",
-    "price_of_conservatism": "planning",
-    "Reading": "policies",
-    "recovery_policy": "policies",
-    "rrl": "methods",
-    "rrl_msdp": "methods",
-    "safe_actions": "labels",
-    "SafeMDP": "model",
-    "threshold_interval": "thresholds",
-    "ThresholdInterval": "thresholds",
-    "value_iteration": "bellman",
-    "ValueConvention": "conventions",
-    "Values": "results",
+_NAMES = {
+    "bellman": ("evaluate_policy", "value_iteration"),
+    "certificate": ("certify",),
+    "checker": ("check_certificate",),
+    "conventions": ("CriticConvention", "ValueConvention"),
+    "correction": ("behavior_correction", "corrected_model"),
+    "envs.tabular_correction": ("TabularCorrection",),
+    "estimation": ("estimate_model",),
+    "expectile": ("expectile_iteration",),
+    "explanation": ("explain",),
+    "io": ("load_model",),
+    "io.filter_table": ("FilterTable", "load_filter", "save_filter"),
+    "labels": ("classify", "safe_actions"),
+    "methods": ("conservatism", "dea_rrl", "dea_rrl_expectile", "rrl", "rrl_msdp"),
+    "model": ("Geometry", "SafeMDP"),
+    "planning": ("plan", "price_of_conservatism"),
+    "policies": (
+        "Reading",
+        "allowed_actions",
+        "greedy_actions",
+        "in_policy_set",
+        "recovery_policy",
+    ),
+    "results": ("INFINITE", "Label", "Labelling", "Values"),
+    "thresholds": ("ThresholdInterval", "threshold_interval"),
 }
+_MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
 
-__all__ = [
-    "INFINITE",
-    "CriticConvention",
-    "Geometry",
-    "Label",
-    "Labelling",
-    "Reading",
-    "SafeMDP",
-    "ThresholdInterval",
-    "ValueConvention",
-    "Values",
-    "__version__",
-    "allowed_actions",
-    "behavior_correction",
-    "classify",
-    "conservatism",
-    "corrected_model",
-    "dea_rrl",
-    "dea_rrl_expectile",
-    "estimate_model",
-    "evaluate_policy",
-    "expectile_iteration",
-    "explain",
-    "greedy_actions",
-    "in_policy_set",
-    "plan",
-    "price_of_conservatism",
-    "recovery_policy",
-    "rrl",
-    "rrl_msdp",
-    "safe_actions",
-    "threshold_interval",
-    "value_iteration",
-]
+__all__ = ["__version__", *_MODULE_OF]  # noqa: PLE0604 (strings, from the one list of names)
 
 if TYPE_CHECKING:
+    from dead_ends.bellman import evaluate_policy as evaluate_policy
+    from dead_ends.bellman import value_iteration as value_iteration
+    from dead_ends.certificate import certify as certify
+    from dead_ends.checker import check_certificate as check_certificate
+    from dead_ends.conventions import CriticConvention as CriticConvention
+    from dead_ends.conventions import ValueConvention as ValueConvention
+    from dead_ends.correction import behavior_correction as behavior_correction
+    from dead_ends.correction import corrected_model as corrected_model
+    from dead_ends.envs.tabular_correction import TabularCorrection as TabularCorrection
+    from dead_ends.estimation import estimate_model as estimate_model
+    from dead_ends.expectile import expectile_iteration as expectile_iteration
+    from dead_ends.explanation import explain as explain
+    from dead_ends.io import load_model as load_model
+    from dead_ends.io.filter_table import FilterTable as FilterTable
+    from dead_ends.io.filter_table import load_filter as load_filter
+    from dead_ends.io.filter_table import save_filter as save_filter
+    from dead_ends.labels import classify as classify
+    from dead_ends.labels import safe_actions as safe_actions
+    from dead_ends.methods import conservatism as conservatism
+    from dead_ends.methods import dea_rrl as dea_rrl
+    from dead_ends.methods import dea_rrl_expectile as dea_rrl_expectile
+    from dead_ends.methods import rrl as rrl
+    from dead_ends.methods import rrl_msdp as rrl_msdp
     from dead_ends.model import Geometry as Geometry
     from dead_ends.model import SafeMDP as SafeMDP
+    from dead_ends.planning import plan as plan
+    from dead_ends.planning import price_of_conservatism as price_of_conservatism
+    from dead_ends.policies import Reading as Reading
+    from dead_ends.policies import allowed_actions as allowed_actions
+    from dead_ends.policies import greedy_actions as greedy_actions
+    from dead_ends.policies import in_policy_set as in_policy_set
+    from dead_ends.policies import recovery_policy as recovery_policy
+    from dead_ends.results import INFINITE as INFINITE
+    from dead_ends.results import Label as Label
+    from dead_ends.results import Labelling as Labelling
+    from dead_ends.results import Values as Values
+    from dead_ends.thresholds import ThresholdInterval as ThresholdInterval
+    from dead_ends.thresholds import threshold_interval as threshold_interval
 
 
 def __getattr__(name: str) -> Any:

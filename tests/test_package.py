@@ -1,0 +1,58 @@
+"""The package as a whole: its names, and what importing it costs."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import dead_ends
+
+
+@pytest.mark.parametrize("name", dead_ends.__all__)
+def test_every_public_name_can_be_imported(name: str) -> None:
+    value = getattr(dead_ends, name)
+    if callable(value):
+        assert value.__doc__
+
+
+def test_type_checkers_see_the_names_that_exist() -> None:
+    tree = ast.parse(Path(dead_ends.__file__).read_text())
+    (block,) = [node for node in tree.body if isinstance(node, ast.If)]
+    seen = {
+        (alias.name, node.module)
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    assert seen == {(name, f"dead_ends.{module}") for name, module in dead_ends._MODULE_OF.items()}
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="has no attribute 'clasify'"):
+        dead_ends.clasify  # noqa: B018 (the access is the test)
+
+
+def test_importing_the_package_imports_nothing_heavy() -> None:
+    """numba, scipy and matplotlib are imported by those who need them."""
+    script = "import sys, dead_ends; print(*{name.split('.')[0] for name in sys.modules})"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert not {"numba", "scipy", "matplotlib", "numpy"} & set(done.stdout.split())
+
+
+def test_models_are_built_without_numba() -> None:
+    """Nor are models: numba is imported at the first solve."""
+    script = (
+        "import sys, numpy, dead_ends; "
+        "dead_ends.SafeMDP.deterministic([[0]], numpy.array([False])); "
+        "print(*{name.split('.')[0] for name in sys.modules})"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert not {"numba", "scipy", "matplotlib"} & set(done.stdout.split())
