@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -130,6 +130,7 @@ def test_integer_tables_are_compared_exactly() -> None:
     assert allowed_actions(np.array([[0, 1]]), 1).tolist() == [[True, False]]
 
 
+@settings(deadline=None)  # a busy machine may pause
 @given(st.floats(0, 1), st.fractions(0, 1))
 def test_a_fraction_threshold_is_not_rounded(q: float, epsilon: Fraction) -> None:
     for each in (q, float(epsilon), math.nextafter(float(epsilon), 2)):
@@ -278,6 +279,7 @@ def test_undecided_expectations_are_named() -> None:
     assert not in_policy_set(policy, values, 0.125, reading="expectation")
 
 
+@settings(deadline=None)  # a busy machine may pause
 @given(
     st.lists(
         st.tuples(st.fractions(0, 1, max_denominator=8), st.fractions(0, 1, max_denominator=8)),
