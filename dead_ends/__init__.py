@@ -26,15 +26,29 @@ _NAMES = {
     "conventions": ("CriticConvention", "ValueConvention"),
     "correction": ("behavior_correction", "corrected_model"),
     "envs.tabular_correction": ("TabularCorrection",),
-    "estimation": ("estimate_model",),
+    "estimation": (
+        "Unseen",
+        "estimate_model",
+    ),
     "expectile": ("expectile_iteration",),
-    "explanation": ("explain",),
+    "explanation": (
+        "Explanation",
+        "explain",
+    ),
     "io": ("load_model",),
     "io.filter_table": ("FilterTable", "load_filter", "save_filter"),
     "labels": ("classify", "safe_actions"),
-    "methods": ("conservatism", "dea_rrl", "dea_rrl_expectile", "rrl", "rrl_msdp"),
+    "methods": (
+        "Method",
+        "Conservatism",
+        "conservatism",
+        "dea_rrl",
+        "dea_rrl_expectile",
+        "rrl",
+        "rrl_msdp",
+    ),
     "model": ("Geometry", "SafeMDP"),
-    "planning": ("plan", "price_of_conservatism"),
+    "planning": ("PriceOfConservatism", "PlanResult", "plan", "price_of_conservatism"),
     "policies": (
         "Reading",
         "allowed_actions",
@@ -59,8 +73,10 @@ if TYPE_CHECKING:
     from dead_ends.correction import behavior_correction as behavior_correction
     from dead_ends.correction import corrected_model as corrected_model
     from dead_ends.envs.tabular_correction import TabularCorrection as TabularCorrection
+    from dead_ends.estimation import Unseen as Unseen
     from dead_ends.estimation import estimate_model as estimate_model
     from dead_ends.expectile import expectile_iteration as expectile_iteration
+    from dead_ends.explanation import Explanation as Explanation
     from dead_ends.explanation import explain as explain
     from dead_ends.io import load_model as load_model
     from dead_ends.io.filter_table import FilterTable as FilterTable
@@ -68,6 +84,8 @@ if TYPE_CHECKING:
     from dead_ends.io.filter_table import save_filter as save_filter
     from dead_ends.labels import classify as classify
     from dead_ends.labels import safe_actions as safe_actions
+    from dead_ends.methods import Conservatism as Conservatism
+    from dead_ends.methods import Method as Method
     from dead_ends.methods import conservatism as conservatism
     from dead_ends.methods import dea_rrl as dea_rrl
     from dead_ends.methods import dea_rrl_expectile as dea_rrl_expectile
@@ -75,6 +93,8 @@ if TYPE_CHECKING:
     from dead_ends.methods import rrl_msdp as rrl_msdp
     from dead_ends.model import Geometry as Geometry
     from dead_ends.model import SafeMDP as SafeMDP
+    from dead_ends.planning import PlanResult as PlanResult
+    from dead_ends.planning import PriceOfConservatism as PriceOfConservatism
     from dead_ends.planning import plan as plan
     from dead_ends.planning import price_of_conservatism as price_of_conservatism
     from dead_ends.policies import Reading as Reading
