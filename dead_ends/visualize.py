@@ -351,7 +351,9 @@ def _draw(arguments: argparse.Namespace) -> None:
     print(summary(scene, labelling, arguments.gamma_safe))
     figure: Figure = arguments.draw(scene, labelling, arguments)
     window = arguments.out is None and _has_display()
-    if not window:
+    if window:
+        print("picture    in its window")
+    else:
         path = arguments.out or Path(f"{scene.name}.png")
         write_figure(figure, path)
         print(f"picture    {path}")
