@@ -81,6 +81,9 @@ Print Assumptions Theorems.MinFailure_exists.
 Check (Theorems.Qualitative : Statements.Qualitative_statement).
 Print Assumptions Theorems.Qualitative.
 
+Check (Theorems.ZeroSet : Statements.ZeroSet_statement).
+Print Assumptions Theorems.ZeroSet.
+
 Check (Theorems.Geometric : Statements.Geometric_statement).
 Print Assumptions Theorems.Geometric.
 

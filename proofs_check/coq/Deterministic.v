@@ -207,6 +207,51 @@ Proof.
   rewrite !Q_next in *. rewrite (target_safe _ Hn) in Na. lra.
 Qed.
 End Learned.
+
+(** The converse: critics that are off by delta in the worst direction. *)
+Section LearnedConverse.
+Variable delta : R.
+Hypothesis Hd : 0 <= delta.
+Let near (q : State M -> Action M -> R) := forall s a, avail M s a -> Rabs (q s a - Q M gamma W s a) <= delta.
+
+Lemma gate_margin : forall eps, (exists s, safe M s) ->
+  (forall q, near q -> forall s a, safe M s -> avail M s a -> (q s a < eps <-> safe M (next s a))) ->
+  delta < eps /\ SoundThreshold M gamma (eps + delta).
+Proof.
+  intros eps [s Hs] H. split.
+  - destruct (safe_action s Hs) as [a [Ha Hn]].
+    assert (N : near (fun s a => Q M gamma W s a + delta)) by (intros u b _; rewrite Rabs_pos_eq; lra).
+    apply (proj2 (H _ N s a Hs Ha)) in Hn as L. rewrite Q_next, (target_safe _ Hn) in L. lra.
+  - intros u t n Hu E T. apply edge_next in E. destruct E as [a [Ha ->]].
+    assert (N : near (fun s a => Q M gamma W s a - delta)) by (intros v b _; rewrite Rabs_left1; lra).
+    apply Rnot_lt_le. intro L. apply (safe_no_time M (next u a) n); auto.
+    apply (H _ N u a Hu Ha). rewrite Q_next, (target_time n _ T). lra.
+Qed.
+
+Definition misled s a := if Req_EM_T (Q M gamma W s a) 0 then delta else Q M gamma W s a - delta.
+
+Lemma misled_near : near misled.
+Proof.
+  intros s a _. unfold misled. destruct (Req_EM_T (Q M gamma W s a) 0) as [E|_].
+  - rewrite E, Rabs_pos_eq; lra.
+  - rewrite Rabs_left1; lra.
+Qed.
+
+Lemma recovery_margin : forall h, BoundaryHorizon M h ->
+  (forall q, near q -> forall s b, safe M s -> Argmin M q s b -> safe M (next s b)) -> 2 * delta < gamma ^ h.
+Proof.
+  intros h [[s [t [Hs [E T]]]] Max] H. apply Rnot_le_lt. intro L.
+  apply edge_next in E. destruct E as [a [Ha ->]].
+  apply (safe_no_time M (next s a) h); auto. apply (H misled misled_near s a Hs). split; auto.
+  intros b Hb. pose proof (pow_unit gamma h g1) as P. unfold misled. rewrite !Q_next, (target_time h _ T).
+  destruct (Req_EM_T (gamma ^ h) 0) as [E|_]; [lra|].
+  destruct (safe_or_time M (next s b)) as [Sb|[n Tb]].
+  - rewrite (target_safe _ Sb). destruct (Req_EM_T 0 0); lra.
+  - rewrite (target_time n _ Tb). pose proof (pow_unit gamma n g1).
+    pose proof (pow_antitone gamma n h g1 (Max s _ n Hs (next_edge s b Hb) Tb)).
+    destruct (Req_EM_T (gamma ^ n) 0); lra.
+Qed.
+End LearnedConverse.
 End Optimal.
 
 (** ** The closed loop *)

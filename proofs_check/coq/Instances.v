@@ -127,16 +127,17 @@ Qed.
 Example learned_five : forall s a, safe five s ->
   (Q five (1/2) W s a + 1/16 < 1/8 <-> safe five (move s a)).
 Proof.
-  intros s a Hs. apply (proj1 (Theorems.Learned five move _ _ coin V W (fun s a => Q five (1/2) W s a + 1/16) (1/16)
-    solved ltac:(intros; rewrite Rabs_pos_eq; lra)) (1/8)); auto; [lra| |apply five_avail].
-  intros u t n Hu E T. pose proof (threshold_five u t n Hu E T). lra.
+  intros s a Hs. destruct (Theorems.Learned five move _ _ coin V W (1/16) solved ltac:(lra)) as [G _].
+  refine (proj1 (G (1/8) (ex_intro _ P p_safe)) _ (fun s a => Q five (1/2) W s a + 1/16) _ s a Hs (five_avail s a)).
+  - split; [lra|]. intros u t n Hu E T. pose proof (threshold_five u t n Hu E T). lra.
+  - intros u b _. rewrite Rabs_pos_eq; lra.
 Qed.
-(** Above the margin the learned critic is wrong: delta = 1/8 is not less than eps. *)
-Example learned_margin : ~ (Q five (1/2) W Turn false + 1/8 < 1/8).
+(** With error 1/8 = gamma^H_b / 2 some greedy recovery enters a dead-end. *)
+Example learned_margin_five : ~ (forall q, (forall s a, avail five s a -> Rabs (q s a - Q five (1/2) W s a) <= 1/8) ->
+  forall s b, safe five s -> Argmin five q s b -> safe five (move s b)).
 Proof.
-  rewrite (Q_next five move five_det).
-  change (move Turn false) with Turn.
-  rewrite (target_safe five move five_det _ _ half W HW Turn turn_safe). lra.
+  intro H. destruct (Theorems.Learned five move _ _ coin V W (1/8) solved ltac:(lra)) as [_ R].
+  apply (R 2%nat five_boundary) in H. lra.
 Qed.
 Example theorem1_five : forall mu, PerAction five (safe five) (Q five (1/2) V) (1/4) mu ->
   PerAction five (safe five) (Q five (1/2) W) (1/4) mu.
@@ -173,6 +174,11 @@ Proof.
   split; [apply (X_lost (1/2) even)|].
   apply (proj2 (Theorems.Qualitative (gamble (1/2) even) X Ok H)). apply escape_now.
   apply (proj1 (Theorems.Qualitative (gamble (1/2) even) _ Ok (Pmin_min _))). exact (X_ok (1/2) even).
+Qed.
+Example zero_set_gamble : forall W, IsOptimal (gamble (1/2) even) (1/2) 0 W -> W Ok = 0.
+Proof.
+  intros W HW. apply (Theorems.ZeroSet (gamble (1/2) even) (1/2) 0 W 1 half HW); [reflexivity|].
+  apply (zero_avoidable (gamble (1/2) even) _ (Pmin_min _)). exact (X_ok (1/2) even).
 Qed.
 (** The bound is (1 - eps)^n = 1/2^n; the truth is (1 - p)^n = (3/4)^n. *)
 Example geometric_gamble : forall n, (1/2) ^ n <= (1 - p (1/2)) ^ n.

@@ -28,6 +28,65 @@ Proof.
     apply expect_le; [apply Hmu|]. intros a _. apply L.
 Qed.
 
+(** ** Where the discounted optimal value is 0 *)
+Section ZeroSet.
+Variables (M : MDP) (gamma vf : R) (W : State M -> R).
+Hypotheses (D : Discount gamma vf) (HW : IsOptimal M gamma vf W).
+
+Let Z := Avoidable (avail M) (succ M) (fail M).
+Let B : Bellman M gamma vf W := optimal_bellman M gamma vf D W HW.
+
+Lemma target_nonneg : forall t, 0 <= target M gamma W t.
+Proof. intro t. apply (target_range M gamma vf D). apply B. Qed.
+
+Lemma target_zero : forall t, target M gamma W t = 0 <-> fail M t = false /\ W t = 0.
+Proof.
+  intro t. unfold target. assert (G : 0 < gamma < 1) by apply D. destruct (fail M t).
+  - split; [lra|]. intros [X _]. discriminate.
+  - split; [|intros [_ ->]; lra]. intro E. split; auto. apply Rmult_integral in E. lra.
+Qed.
+
+Lemma zero_value_stays : forall s, fail M s = false -> W s = 0 -> Z s.
+Proof.
+  intros s Hf E. exists (fun t => fail M t = false /\ W t = 0). split; auto. intros t [Ft Et]. split; auto.
+  destruct B as [_ [_ L]]. destruct (L t Ft) as [_ [a [Ha Ea]]]. exists a. split; auto. intros u Hu.
+  apply target_zero. apply (expect_zero (step M t a) (target M gamma W)); auto using target_nonneg;
+    [apply step_dist|]. unfold Q in Ea. lra.
+Qed.
+
+Lemma stays_zero_value : forall s, Z s -> W s = 0.
+Proof.
+  intros s [S [Ss HS]]. destruct B as [Rg [_ L]]. apply Rle_antisym; [|apply Rg].
+  apply (discount_vanishes gamma 1); [apply D|lra|]. intro k. revert s Ss.
+  induction k as [|k IH]; intros s Ss; [cbn; specialize (Rg s); lra|].
+  destruct (HS s Ss) as [Hf [a [Ha A]]]. apply Rle_trans with (1 := proj1 (L s Hf) a Ha).
+  apply expect_le_const; [apply step_dist|]. intros t Ht. unfold target.
+  destruct (HS t (A t Ht)) as [Ft _]. rewrite Ft. specialize (IH t (A t Ht)). cbn.
+  assert (gamma * W t <= gamma * (1 * gamma ^ k)) by (apply Rmult_le_compat_l; [apply Rlt_le, D|lra]). lra.
+Qed.
+
+Lemma zero_critic : forall s a, Q M gamma W s a = 0 <-> forall t, succ M s a t -> Z t.
+Proof.
+  intros s a. split.
+  - intros E t Ht.
+    assert (X : target M gamma W t = 0) by
+      (apply (expect_zero (step M s a)); auto using target_nonneg; apply step_dist).
+    apply target_zero in X. now apply zero_value_stays.
+  - intro H. unfold Q. rewrite (expect_ext_supp _ _ (fun _ => 0)); [apply expect_const|..];
+      try apply step_dist. intros t Ht. apply target_zero. split; [|now apply stays_zero_value, H].
+    destruct (H t Ht) as [S [St HS]]. now apply HS.
+Qed.
+End ZeroSet.
+
+Theorem zero_set : ZeroSet_statement.
+Proof.
+  intros M gamma vf W eps D HW Z. split.
+  - intros s Hf. split; [now apply (zero_value_stays M gamma vf W D HW)|].
+    now apply (stays_zero_value M gamma vf W D HW).
+  - intros He Gap s a Zs Ha. pose proof (zero_critic M gamma vf W D HW s a) as C. unfold Z. rewrite <- C.
+    destruct (Gap s a Zs Ha); split; lra.
+Qed.
+
 Section MinFailure.
 Variable M : MDP.
 
