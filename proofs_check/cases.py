@@ -12,11 +12,11 @@ whole enumerations, because its powers are exact in floats.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
-from itertools import combinations_with_replacement, product
+from itertools import combinations_with_replacement, islice, product
 from typing import Any
 
 import numpy as np
@@ -136,13 +136,7 @@ def take_model(model: SafeMDP, rows: slice) -> SafeMDP:
     if model.is_deterministic:
         table = np.maximum(model.successors()[rows] - rows.start, -1)
         return SafeMDP.deterministic(table, fail, terminal=terminal)
-    n = len(fail)
-    P = np.full((n, model.num_actions, n), Fraction(0), dtype=object)
-    kernel, probabilities = model.transitions(), model.exact_probabilities()
-    for row in range(rows.start * model.num_actions, rows.stop * model.num_actions):
-        state, action = divmod(row, model.num_actions)
-        for i in range(int(kernel.indptr[row]), int(kernel.indptr[row + 1])):
-            P[state - rows.start, action, int(kernel.indices[i]) - rows.start] = probabilities[i]
+    P = exact_table(model)[rows, :, rows]
     return SafeMDP.stochastic(P, fail, model.available[rows], terminal=terminal)
 
 
@@ -234,6 +228,10 @@ def large_cases(size: int = 65_536) -> Iterator[Case]:
         yield table_case(enumerate_models.tables(6, 2, codes[part]), sizes[part])
 
 
+HALF = Fraction(1, 2)
+SIDE_BY_SIDE = 40
+"""Stochastic models in a case: their table in Fractions is dense."""
+
 STOCHASTIC_SIZES = ((2, 1, 4), (2, 2, 4), (3, 1, 4), (3, 2, 2), (4, 1, 2))
 """(n, m, q): the last state fails, all probabilities are multiples of 1/q."""
 
@@ -258,14 +256,45 @@ def stochastic_models(n: int, m: int, q: int) -> Iterator[SafeMDP]:
         yield SafeMDP.stochastic(P, fail)
 
 
+def together(cases: Sequence[Case]) -> Case:
+    """Stochastic models of one size side by side."""
+    first = cases[0]
+    n, m = first.states, first.model.num_actions
+    P = np.full((n * len(cases), m, n * len(cases)), Fraction(0), dtype=object)
+    for i, case in enumerate(cases):
+        rows = slice(i * n, (i + 1) * n)
+        P[rows, :, rows] = exact_table(case.model)
+    fail = np.concatenate([case.fail for case in cases])
+    return replace(
+        first,
+        model=SafeMDP.stochastic(P, fail),
+        task=np.concatenate([case.task for case in cases]),
+        survival=np.concatenate([case.survival for case in cases]),
+        failing=np.concatenate([case.failing for case in cases]),
+        weight=np.concatenate([case.weight for case in cases]),
+    )
+
+
+def exact_table(model: SafeMDP) -> NDArray[np.object_]:
+    """P (S, A, S) in Fractions; zero for actions that are not available and in fail states."""
+    P = np.full((model.num_states, model.num_actions, model.num_states), Fraction(0), dtype=object)
+    for state, rows in enumerate(oracles.kernel_of(model)):
+        for action, row in enumerate(rows):
+            for successor, p in row.items():
+                P[state, action, successor] = p
+    return P
+
+
 @lru_cache(maxsize=1)
 def stochastic_cases() -> tuple[Case, ...]:
     """All small stochastic models of the sizes above, gamma = 1/2; task: always action 0."""
-    return tuple(
-        stochastic_case(model, Fraction(1, 2), np.zeros(n, dtype=np.int64))
-        for n, m, q in STOCHASTIC_SIZES
-        for model in stochastic_models(n, m, q)
-    )
+    cases = []
+    for n, m, q in STOCHASTIC_SIZES:
+        models = stochastic_models(n, m, q)
+        while part := list(islice(models, SIDE_BY_SIDE)):
+            task = np.zeros(n, dtype=np.int64)
+            cases.append(together([stochastic_case(each, HALF, task) for each in part]))
+    return tuple(cases)
 
 
 @st.composite

@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import textwrap
 from collections.abc import Iterable
-from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,14 +16,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch
-from numpy.typing import NDArray
 
 from dead_ends.io.atomic import atomic_path
 from dead_ends.io.npz import save_npz
 from dead_ends.model import SafeMDP
 from dead_ends.plot import COLORS
 from dead_ends.results import Label
-from proofs_check.cases import FOREVER, Case
+from proofs_check.cases import FOREVER, Case, exact_table
 from proofs_check.implementation import LIBRARY
 from proofs_check.rows import Row
 
@@ -99,16 +97,6 @@ def named(case: Case) -> SafeMDP:
     return SafeMDP.stochastic(
         exact_table(model), model.fail, state_names=names, action_names=actions
     )
-
-
-def exact_table(model: SafeMDP) -> NDArray[np.object_]:
-    """P (S, A, S) in Fractions, whose rows of fail states stay there."""
-    P = np.full((model.num_states, model.num_actions, model.num_states), Fraction(0), dtype=object)
-    kernel, data = model.transitions(), model.exact_probabilities()
-    for row in range(kernel.shape[0]):
-        for i in range(int(kernel.indptr[row]), int(kernel.indptr[row + 1])):
-            P[row // model.num_actions, row % model.num_actions, int(kernel.indices[i])] = data[i]
-    return P
 
 
 def digest(model: SafeMDP) -> str:

@@ -219,12 +219,21 @@ def _evaluation_is_best(
     return _best(model, gamma, **convention)
 
 
+def _of_last_actions(model: SafeMDP, gamma: Discount, **convention: Any) -> Tables:
+    """The critic of the policy that always takes the last available action."""
+    last = model.num_actions - 1 - model.available[:, ::-1].argmax(axis=1)
+    policy = np.where(model.available.any(axis=1), last, 0)
+    return _of_policy(model, policy, gamma, **convention)
+
+
+SWAPPED_CRITICS = replace(LIBRARY, best=_of_last_actions, of_policy=_evaluation_is_best)
 EVALUATION_IS_BEST = replace(LIBRARY, of_policy=_evaluation_is_best)
 GAMMA_HALF = replace(
     LIBRARY,
     best=lambda model, _, **convention: _best(model, 0.5, **convention),
     of_policy=lambda model, policy, _, **convention: _of_policy(model, policy, 0.5, **convention),
 )
+BEST_IS_OF_LAST_ACTIONS = replace(LIBRARY, best=_of_last_actions)
 BEST_IS_OF_FIRST_ACTIONS = replace(LIBRARY, best=_of_first_actions)
 LITERAL = _convention(ValueConvention.COST_FAIL_0, CriticConvention.NEXT_VALUE)
 LITERAL_CRITIC = _convention(critic=CriticConvention.NEXT_VALUE)
