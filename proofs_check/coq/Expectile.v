@@ -108,16 +108,19 @@ Qed.
 End Root.
 
 Lemma loss_convex : forall u v,
-  expectile_loss tau u + -2 * ((u - v) * slope u) <= expectile_loss tau v.
+  expectile_loss tau u + -2 * ((u - v) * slope u) + kappa * ((u - v) * (u - v)) <= expectile_loss tau v.
 Proof.
-  intros u v. unfold expectile_loss, slope.
-  assert (S : forall w, 0 <= w -> 0 <= w * ((u - v) * (u - v)))
+  intros u v. unfold expectile_loss, slope, kappa.
+  pose proof (Rmin_l tau (1 - tau)) as K1. pose proof (Rmin_r tau (1 - tau)) as K2.
+  set (k := Rmin tau (1 - tau)) in *.
+  assert (S : forall w, k <= w -> 0 <= (w - k) * ((u - v) * (u - v)))
     by (intros w Hw; apply Rmult_le_pos; [lra|apply Rle_0_sqr]).
-  assert (O : forall w z, 0 <= w -> 0 <= z -> u * v <= 0 -> 0 <= w * (u * u) + z * (v * v) + -2 * (w * (u * v))).
+  assert (O : forall w z, k <= w -> k <= z -> u * v <= 0 ->
+    0 <= (w - k) * (u * u) + (z - k) * (v * v) + -2 * ((w - k) * (u * v))).
   { intros w z Hw Hz Huv. pose proof (Rle_0_sqr u) as U. pose proof (Rle_0_sqr v) as V. unfold Rsqr in *.
-    assert (0 <= w * (u * u)) by (apply Rmult_le_pos; lra).
-    assert (0 <= z * (v * v)) by (apply Rmult_le_pos; lra).
-    assert (0 <= w * - (u * v)) by (apply Rmult_le_pos; lra). lra. }
+    assert (0 <= (w - k) * (u * u)) by (apply Rmult_le_pos; lra).
+    assert (0 <= (z - k) * (v * v)) by (apply Rmult_le_pos; lra).
+    assert (0 <= (w - k) * - (u * v)) by (apply Rmult_le_pos; lra). lra. }
   destruct (Rlt_dec u 0), (Rlt_dec v 0).
   - specialize (S (1 - tau)). lra.
   - specialize (O (1 - tau) tau). assert (u * v <= 0) by nra. lra.
@@ -132,13 +135,29 @@ Hypothesis Hmu : IsPolicy M mu.
 
 Let g1 : 0 < gamma < 1 := proj1 D.
 
-Lemma root_minimises : forall s f m, pull (mu s) f m = 0 -> IsExpectile M tau (mu s) f m.
+Lemma root_below : forall s f m x, pull (mu s) f m = 0 ->
+  expect (mu s) (fun a => expectile_loss tau (f a - m)) + kappa * ((x - m) * (x - m)) <=
+  expect (mu s) (fun a => expectile_loss tau (f a - x)).
 Proof.
-  intros s f m E x. destruct (Hmu s) as [DM _].
-  apply Rle_trans with (expect (mu s) (fun a => expectile_loss tau (f a - m) + (-2 * (x - m)) * slope (f a - m))).
-  - rewrite expect_plus, expect_scal. unfold pull in E. rewrite E. lra.
+  intros s f m x E. destruct (Hmu s) as [DM _].
+  apply Rle_trans with (expect (mu s) (fun a => (expectile_loss tau (f a - m)
+    + (-2 * (x - m)) * slope (f a - m)) + kappa * ((x - m) * (x - m)))).
+  - rewrite !expect_plus, expect_scal, expect_const by auto. unfold pull in E. rewrite E. lra.
   - apply expect_le; auto. intros a _. pose proof (loss_convex (f a - m) (f a - x)) as C.
     replace (f a - m - (f a - x)) with (x - m) in C by ring. lra.
+Qed.
+
+Lemma root_minimises : forall s f m, pull (mu s) f m = 0 -> IsExpectile M tau (mu s) f m.
+Proof.
+  intros s f m E x. pose proof (root_below s f m x E) as L. pose proof kappa_pos.
+  assert (0 <= kappa * ((x - m) * (x - m))) by (apply Rmult_le_pos; [lra|apply Rle_0_sqr]). lra.
+Qed.
+
+Lemma minimiser_unique : forall s f m x, pull (mu s) f m = 0 -> IsExpectile M tau (mu s) f x -> x = m.
+Proof.
+  intros s f m x E H. pose proof (root_below s f m x E) as L. specialize (H m). pose proof kappa_pos.
+  apply Rminus_diag_uniq, Rsqr_0_uniq. apply Rle_antisym; [|apply Rle_0_sqr]. unfold Rsqr.
+  apply Rmult_le_reg_l with kappa; lra.
 Qed.
 
 (** A minimiser of the expectile loss is at least the least value on the data. *)
@@ -224,5 +243,25 @@ Proof.
       replace (C * gamma ^ S k) with (gamma * (C * gamma ^ k)) by (cbn; ring). lra. }
   intro s. cut (W s - V s <= 0); [lra|]. apply (discount_vanishes gamma C); auto.
   intro k. specialize (A k s). lra.
+Qed.
+
+Lemma expectile_value_unique : forall V V', IsExpectileValue M gamma vf tau mu V ->
+  IsExpectileValue M gamma vf tau mu V' -> forall s, V s = V' s.
+Proof.
+  assert (U : forall V, IsExpectileValue M gamma vf tau mu V -> forall s,
+    V s = limit expectile_backup expectile_mono expectile_zero expectile_one s).
+  { intros V HV.
+    assert (F : forall s, V s = expectile_backup V s).
+    { intro s. specialize (HV s). unfold expectile_backup. destruct (fail M s); auto.
+      apply (minimiser_unique s (Q M gamma V s)); auto. apply expectile_root. }
+    intro s. apply Rle_antisym.
+    - destruct (bounded_list V (states M)) as [C [C0 B]].
+      apply (limit_greatest _ expectile_mono expectile_zero expectile_one gamma g1 expectile_shift V C C0).
+      + intro t. apply B, states_all.
+      + intro t. rewrite <- (F t). lra.
+    - apply limit_least; [|intro t; rewrite <- (F t); lra].
+      intro t. pose proof (Vstar_range M gamma vf D t).
+      pose proof (optimal_le_expectile V _ HV (Vstar_optimal M gamma vf D) t). lra. }
+  intros V V' HV HV' s. now rewrite (U V HV s), (U V' HV' s).
 Qed.
 End Expectile.

@@ -206,19 +206,19 @@ Definition SelfReference_statement : Prop := forall M next gamma vf pi V W eps,
   let stays := forall s a, safe M s -> Supp (pi s) a -> safe M (next s a) in
   (PerAction M (safe M) (Q M gamma V) eps pi <-> stays) /\
   (PerAction M (safe M) (Q M gamma W) eps pi <-> stays).
-(** A learned critic q with uniform error delta. *)
-Definition Learned_statement : Prop := forall M next gamma vf pi V W q delta,
-  Solved M next gamma vf pi V W ->
-  (forall s a, avail M s a -> Rabs (q s a - Q M gamma W s a) <= delta) ->
-  (forall eps, delta < eps -> SoundThreshold M gamma (eps + delta) ->
-     forall s a, safe M s -> avail M s a -> (q s a < eps <-> safe M (next s a))) /\
-  (forall e, 2 * delta < e -> SoundThreshold M gamma e ->
-     forall s b, safe M s -> Argmin M q s b -> safe M (next s b)).
-(** The expectile critic exists, is at least Q*, and its gate is sound. *)
+(** Learned critics q with uniform error delta: when all of them gate exactly, recover safely. *)
+Definition Learned_statement : Prop := forall M next gamma vf pi V W delta,
+  Solved M next gamma vf pi V W -> 0 <= delta ->
+  let near q := forall s a, avail M s a -> Rabs (q s a - Q M gamma W s a) <= delta in
+  (forall eps, (exists s, safe M s) -> (delta < eps /\ SoundThreshold M gamma (eps + delta) <->
+     forall q, near q -> forall s a, safe M s -> avail M s a -> (q s a < eps <-> safe M (next s a)))) /\
+  (forall h, BoundaryHorizon M h -> (2 * delta < gamma ^ h <->
+     forall q, near q -> forall s b, safe M s -> Argmin M q s b -> safe M (next s b))).
+(** The expectile critic exists, once; it is at least Q*, and its gate is sound. *)
 Definition Expectile_statement : Prop := forall M gamma vf tau mu W,
   Discount gamma vf -> 0 < tau < 1 -> IsPolicy M mu -> IsOptimal M gamma vf W ->
-  (exists V, IsExpectileValue M gamma vf tau mu V) /\
-  forall V, IsExpectileValue M gamma vf tau mu V ->
+  (exists V, IsExpectileValue M gamma vf tau mu V) /\ forall V, IsExpectileValue M gamma vf tau mu V ->
+  (forall V', IsExpectileValue M gamma vf tau mu V' -> forall s, V' s = V s) /\
   (forall s, W s <= V s) /\ (forall s a, Q M gamma W s a <= Q M gamma V s a) /\
   forall next eps, Deterministic M next -> SoundThreshold M gamma eps ->
     forall s a, safe M s -> avail M s a -> Q M gamma V s a < eps -> safe M (next s a).
@@ -239,6 +239,11 @@ Definition MinFailure_exists_statement : Prop := forall M, exists X, IsMinFailur
 Definition Qualitative_statement : Prop := forall M X s, IsMinFailure M X ->
   (X s = 0 <-> Avoidable (avail M) (succ M) (fail M) s) /\
   (X s < 1 <-> CanEscape (avail M) (succ M) (fail M) s).
+(** On P_min = 0, V* = 0, and small thresholds allow exactly the actions that stay there. *)
+Definition ZeroSet_statement : Prop := forall M gamma vf W eps, Discount gamma vf -> IsOptimal M gamma vf W ->
+  let Z := Avoidable (avail M) (succ M) (fail M) in (forall s, fail M s = false -> (W s = 0 <-> Z s)) /\
+  (0 < eps -> (forall s a, Z s -> avail M s a -> Q M gamma W s a = 0 \/ eps <= Q M gamma W s a) ->
+   forall s a, Z s -> avail M s a -> (Q M gamma W s a < eps <-> forall t, succ M s a t -> Z t)).
 (** The geometric bound, its sharp form, and what it needs of X and the recovery. *)
 Definition Superharmonic M X rec := (forall s, 0 <= X s <= 1) /\ (forall s, fail M s = true -> X s = 1) /\
   forall s, fail M s = false -> chance M X s (rec s) <= X s.

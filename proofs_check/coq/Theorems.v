@@ -128,15 +128,19 @@ Qed.
 
 Theorem Learned : Learned_statement.
 Proof.
-  intros M next gamma vf pi V W q delta (D & Det & _ & _ & HW) Near. split.
-  - now apply (learned_gate M next Det gamma vf D W HW q delta Near).
-  - now apply (learned_recovery M next Det gamma vf D W HW q delta Near).
+  intros M next gamma vf pi V W delta (D & Det & _ & _ & HW) Hd near. split.
+  - intros eps Some. split; [|now apply (gate_margin M next Det gamma vf D W HW delta Hd)].
+    intros [He HS] q Near. now apply (learned_gate M next Det gamma vf D W HW q delta Near).
+  - intros h B. split; [|now apply (recovery_margin M next Det gamma vf D W HW delta Hd)].
+    intros L q Near. apply (learned_recovery M next Det gamma vf D W HW q delta Near (gamma ^ h) L).
+    apply (threshold_boundary M gamma _ h (proj1 D) B). Lra.lra.
 Qed.
 
 Theorem Expectile : Expectile_statement.
 Proof.
   intros M gamma vf tau mu W D Ht Hmu HW. split; [now apply expectile_value_exists|].
   intros V HV. pose proof (optimal_le_expectile tau Ht M gamma vf D mu Hmu V W HV HW) as L.
+  split; [intros V' HV'; now apply (expectile_value_unique tau Ht M gamma vf D mu Hmu)|].
   split; [exact L|]. split; [intros s a; now apply (Q_le M gamma vf D)|].
   intros next eps Det HS s a. now apply (gate_sound M next Det gamma vf D W HW V eps s a).
 Qed.
@@ -155,6 +159,9 @@ Qed.
 
 Theorem Qualitative : Qualitative_statement.
 Proof. intros M X s HX. split; [now apply zero_avoidable|now apply below_one_escape]. Qed.
+
+Theorem ZeroSet : ZeroSet_statement.
+Proof. exact zero_set. Qed.
 
 Theorem Geometric : Geometric_statement.
 Proof. exact geometric_bound. Qed.
