@@ -187,6 +187,19 @@ EPSILON_TOO_SMALL = replace(LIBRARY, threshold=lambda gamma, exponent: gamma ** 
 NOTHING_ALLOWED = replace(LIBRARY, threshold=lambda gamma, exponent: 0 * gamma)  # noqa: ARG005
 HORIZON_TOO_SHORT = replace(LIBRARY, labels=lambda model: _later(classify(model), -1))
 HORIZON_TOO_LONG = replace(LIBRARY, labels=lambda model: _later(classify(model), 1))
+
+
+def _scaled_interval(power: int) -> Implementation:
+    """The upper end of the thresholds off by a power of gamma."""
+
+    def interval(model: SafeMDP, gamma: Discount, **convention: Any) -> ThresholdInterval:
+        found = threshold_interval(model, gamma, **convention)
+        return replace(found, upper=found.upper * gamma**power)
+
+    return replace(LIBRARY, interval=interval)
+
+
+INTERVAL_TOO_LARGE, INTERVAL_TOO_SMALL = _scaled_interval(-1), _scaled_interval(1)
 DEAD_IF_ONE_PATH_FAILS = replace(LIBRARY, labels=_some_path_fails)
 NOT_STRICT = replace(LIBRARY, allowed=lambda Q, epsilon: np.asarray(epsilon >= Q, dtype=np.bool_))
 MAX_RECOVERY = replace(LIBRARY, greedy=_greatest)
