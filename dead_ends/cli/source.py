@@ -17,7 +17,10 @@ MAX_LISTED_STATES = 10_000_000
 def add_source_arguments(parser: argparse.ArgumentParser) -> None:
     """FILE and the options that say what the file does not."""
     parser.add_argument(
-        "file", metavar="FILE", help="a model (.npz, ...) or a Gymnasium environment id"
+        "file",
+        metavar="FILE",
+        help="a model (.npz; .tra with .lab and .sta; .drn; with stormpy also PRISM's .prism, .nm "
+        "and .pm, .jani and .umb) or a Gymnasium environment id",
     )
     group = parser.add_argument_group("which states fail, where the model does not say it")
     group.add_argument("--fail-label", metavar="NAME", help="the label of the fail states")
@@ -36,6 +39,9 @@ def add_source_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         help="an argument of the environment, such as is_slippery=False; may be repeated",
     )
+    parser.add_argument(
+        "--constants", metavar="VALUES", help="constants of a PRISM or JANI model, such as N=4,K=2"
+    )
 
 
 def read_source(arguments: argparse.Namespace) -> SafeMDP:
@@ -48,6 +54,7 @@ def read_source(arguments: argparse.Namespace) -> SafeMDP:
         fail_states=arguments.fail_states,
         fail_if=arguments.fail_if,
         arguments=dict(arguments.env_arg) if arguments.env_arg else None,
+        constants=arguments.constants,
     )
 
 

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
 from dead_ends.io.transitions import Condition
 from dead_ends.model import SafeMDP
+
+if TYPE_CHECKING:
+    from dead_ends.io.explicit import Failure
 
 __all__ = ["ModelOptions", "load_model", "save_model"]
 
@@ -28,12 +32,20 @@ class ModelOptions:
         fail_states: a mask (S,) or numbers of states.
         fail_if: a condition on (s, a, r, s'); see :mod:`dead_ends.io.condition`.
         arguments: for making an environment.
+        constants: values of a symbolic model's constants, such as "N=4,K=2".
     """
 
     fail_label: str | None = None
     fail_states: ArrayLike | None = None
     fail_if: Condition | None = None
     arguments: Mapping[str, Any] | None = None
+    constants: str | None = None
+
+    def failure(self) -> Failure:
+        """The same for a model with labels."""
+        from dead_ends.io.explicit import Failure
+
+        return Failure(self.fail_label, self.fail_states, self.fail_if)
 
     def reject(self, source: str, *names: str) -> None:
         """Raise a ValueError if one of the named options is given."""
@@ -52,20 +64,21 @@ def load_model(
     fail_states: ArrayLike | None = None,
     fail_if: Condition | None = None,
     arguments: Mapping[str, Any] | None = None,
+    constants: str | None = None,
 ) -> SafeMDP:
     """The model in a file, or of a Gymnasium environment.
 
     Args:
         source: a path whose suffix says the format, an environment id such as
             "FrozenLake-v1", or an environment.
-        fail_label, fail_states, fail_if, arguments: see :class:`ModelOptions`.
+        fail_label, fail_states, fail_if, arguments, constants: see :class:`ModelOptions`.
 
     Raises:
         ValueError: naming the file, and the place in it where something is wrong.
         OSError: if the file cannot be read.
         MissingDependencyError: if a package that the format needs is not installed.
     """
-    options = ModelOptions(fail_label, fail_states, fail_if, arguments)
+    options = ModelOptions(fail_label, fail_states, fail_if, arguments, constants)
     if not isinstance(source, str | os.PathLike):
         return _load_environment(source, options)
     path = Path(source)
@@ -98,22 +111,46 @@ def save_model(path: str | os.PathLike[str], model: SafeMDP) -> None:
 
 
 def _load_environment(environment: Any, options: ModelOptions) -> SafeMDP:
-    from dead_ends.io.gymnasium_table import load_gymnasium
+    """By its table, or a MiniGrid by exploring it."""
+    from dead_ends.io.gymnasium_table import environment_name, load_gymnasium, make_environment
 
-    options.reject(str(environment), "fail_label")
-    return load_gymnasium(
-        environment,
-        fail_states=options.fail_states,
-        fail_if=options.fail_if,
-        arguments=options.arguments,
-    )
+    name = environment_name(environment)
+    options.reject(name, "fail_label", "constants")
+    env = make_environment(environment, options.arguments)
+    if hasattr(env.unwrapped, "agent_dir") and not hasattr(env.unwrapped, "P"):
+        from dead_ends.io.explore import explore_minigrid
+
+        options.reject(name, "fail_states")
+        return explore_minigrid(env, fail_if=options.fail_if, progress=sys.stderr.isatty())
+    return load_gymnasium(env, fail_states=options.fail_states, fail_if=options.fail_if)
 
 
 def _load_npz(path: Path, options: ModelOptions) -> SafeMDP:
     from dead_ends.io.npz import load_npz
 
-    options.reject(str(path), "fail_label", "fail_states", "fail_if", "arguments")
+    options.reject(str(path), "fail_label", "fail_states", "fail_if", "arguments", "constants")
     return load_npz(path)
+
+
+def _load_prism(path: Path, options: ModelOptions) -> SafeMDP:
+    from dead_ends.io.prism import load_prism
+
+    options.reject(str(path), "arguments", "constants")
+    return load_prism(path, options.failure())
+
+
+def _load_drn(path: Path, options: ModelOptions) -> SafeMDP:
+    from dead_ends.io.drn import load_drn
+
+    options.reject(str(path), "arguments", "constants")
+    return load_drn(path, options.failure())
+
+
+def _load_with_storm(path: Path, options: ModelOptions) -> SafeMDP:
+    from dead_ends.io.stormpy_models import load_with_storm
+
+    options.reject(str(path), "arguments")
+    return load_with_storm(path, options.failure(), options.constants or "")
 
 
 def _save_npz(path: str | os.PathLike[str], model: SafeMDP) -> None:
@@ -122,5 +159,30 @@ def _save_npz(path: str | os.PathLike[str], model: SafeMDP) -> None:
     save_npz(path, model)
 
 
-_READERS: dict[str, Callable[[Path, ModelOptions], SafeMDP]] = {".npz": _load_npz}
-_WRITERS: dict[str, Callable[[str | os.PathLike[str], SafeMDP], None]] = {".npz": _save_npz}
+def _save_prism(path: str | os.PathLike[str], model: SafeMDP) -> None:
+    from dead_ends.io.prism import save_prism
+
+    save_prism(path, model)
+
+
+def _save_drn(path: str | os.PathLike[str], model: SafeMDP) -> None:
+    from dead_ends.io.drn import save_drn
+
+    save_drn(path, model)
+
+
+_READERS: dict[str, Callable[[Path, ModelOptions], SafeMDP]] = {
+    ".npz": _load_npz,
+    ".tra": _load_prism,
+    ".drn": _load_drn,
+    ".prism": _load_with_storm,
+    ".nm": _load_with_storm,
+    ".pm": _load_with_storm,
+    ".jani": _load_with_storm,
+    ".umb": _load_with_storm,
+}
+_WRITERS: dict[str, Callable[[str | os.PathLike[str], SafeMDP], None]] = {
+    ".npz": _save_npz,
+    ".tra": _save_prism,
+    ".drn": _save_drn,
+}

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from importlib import import_module
 from itertools import product
 from typing import Any
 
@@ -24,7 +23,13 @@ from dead_ends.io.errors import located, optional_module
 from dead_ends.io.transitions import Condition, Transitions, build_model, state_mask
 from dead_ends.model import Geometry, SafeMDP
 
-__all__ = ["load_gymnasium", "make_environment"]
+__all__ = ["environment_name", "load_gymnasium", "make_environment"]
+
+_REGISTERED_BY = {
+    "dead_ends/": ("dead_ends.envs.registration", "gym"),
+    "MiniGrid-": ("minigrid", "explore"),
+}
+"""The modules whose import makes ids known, and the extras that bring them."""
 
 _DIRECTIONS = {"left": (-1.0, 0.0), "down": (0.0, -1.0), "right": (1.0, 0.0), "up": (0.0, 1.0)}
 
@@ -39,8 +44,9 @@ def make_environment(environment: Any, arguments: Mapping[str, Any] | None = Non
     gymnasium = optional_module("gymnasium", "an environment id", "gym")
     if not isinstance(environment, str):
         return environment
-    if environment.startswith("dead_ends/"):
-        import_module("dead_ends.envs.registration")
+    for prefix, (module, extra) in _REGISTERED_BY.items():
+        if environment.startswith(prefix):
+            optional_module(module, environment, extra)
     try:
         return gymnasium.make(environment, **(arguments or {}))
     except (gymnasium.error.Error, ModuleNotFoundError, TypeError, KeyError) as error:
@@ -73,8 +79,7 @@ def load_gymnasium(
         MissingDependencyError: if Gymnasium is not installed.
     """
     env = make_environment(environment, arguments)
-    name = environment if isinstance(environment, str) else str(env)
-    with located(name):
+    with located(environment_name(environment)):
         unwrapped = env.unwrapped
         own = getattr(unwrapped, "model", None)
         if isinstance(own, SafeMDP) and fail_states is None and fail_if is None:
@@ -95,6 +100,14 @@ def load_gymnasium(
         if fail_states is not None:
             transitions = replace(transitions, fail=state_mask(fail_states, transitions.num_states))
         return build_model(transitions, fail_if)
+
+
+def environment_name(environment: Any) -> str:
+    """The id, if there is one."""
+    if isinstance(environment, str):
+        return environment
+    spec = getattr(environment, "spec", None)
+    return str(environment if spec is None else spec.id)
 
 
 @dataclass(frozen=True)

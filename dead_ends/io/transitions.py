@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from dead_ends.io.condition import evaluate_condition
 from dead_ends.model import Geometry, SafeMDP
 
-__all__ = ["Condition", "Transitions", "build_model", "state_mask"]
+__all__ = ["Condition", "Transitions", "build_model", "state_mask", "violations"]
 
 Condition = str | Callable[[int, int, float, int], bool]
 """Which transitions are violations: text (see :mod:`dead_ends.io.condition`) or f(s, a, r, s')."""
@@ -65,7 +65,8 @@ class Transitions:
 def build_model(transitions: Transitions, fail_if: Condition | None = None) -> SafeMDP:
     """The safe MDP that the transitions make.
 
-    Transitions that satisfy ``fail_if`` lead to one added fail state. Transitions that end
+    Transitions that satisfy ``fail_if`` lead to one added fail state, if they do not enter a
+    fail state anyway. Transitions that end
     the episode elsewhere make their target terminal if nothing else tells against it, see
     :func:`_end_episodes`. The model is deterministic if every available action has one
     successor.
@@ -79,7 +80,7 @@ def build_model(transitions: Transitions, fail_if: Condition | None = None) -> S
         transitions = _select(transitions, possible)
     rewards = _expected_rewards(transitions)
     if fail_if is not None:
-        violates = violations(transitions, fail_if)
+        violates = violations(transitions, fail_if) & ~transitions.fail[transitions.target]
         if transitions.done is not None:
             transitions = replace(transitions, done=transitions.done & ~violates)
         transitions = _redirect(transitions, violates, "fail", fails=True)

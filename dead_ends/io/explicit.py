@@ -1,0 +1,269 @@
+"""What the explicit formats (PRISM's .tra, Storm's .drn) have in common.
+
+Both list transitions by state and choice, and name sets of states by labels. A model's actions
+are the choices' labels where these tell the choices of each state apart, otherwise the
+choices' numbers. A state without any choice is a harmless end. Labels with a meaning here:
+
+* ``fail``, or the label that the user names: the fail states;
+* ``init``: the initial states, each equally likely;
+* ``terminal``: harmless ends, if indeed every choice stays (as our writers leave them).
+
+The formats hold no rewards, and of the initial distribution only its states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dead_ends.io.transitions import Condition, Transitions, build_model, state_mask
+from dead_ends.model import ROW_SUM_TOLERANCE, SafeMDP
+
+if TYPE_CHECKING:
+    from dead_ends.io.tokens import Tokens
+
+__all__ = [
+    "Explicit",
+    "Failure",
+    "Rows",
+    "check_distributions",
+    "count_distinct",
+    "explicit_model",
+    "model_labels",
+    "model_rows",
+    "read_states",
+]
+
+Integers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+MAX_NAMED_ACTIONS = 64
+"""With more different labels, choices are numbered: the tables have a column an action."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Which states of a labelled model fail; several say so together.
+
+    Attributes:
+        label: the name of a label; "fail" if nothing is said.
+        states: a mask (S,) or numbers of states.
+        condition: on (s, a, s'); see :mod:`dead_ends.io.condition`.
+    """
+
+    label: str | None = None
+    states: ArrayLike | None = None
+    condition: Condition | None = None
+
+    def mask(self, labels: Mapping[str, Mask], num_states: int) -> Mask:
+        """bool (S,): the fail states among those of the file."""
+        result = np.zeros(num_states, dtype=np.bool_)
+        silent = self.label is None and self.states is None and self.condition is None
+        label = "fail" if silent else self.label
+        if label is not None:
+            if label not in labels:
+                known = ", ".join(labels) or "none"
+                hint = "; say which states fail (--fail-label NAME)" if silent else ""
+                raise ValueError(f"no label '{label}' (labels: {known}){hint}")
+            result |= labels[label]
+        if self.states is not None:
+            result |= state_mask(self.states, num_states)
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class Explicit:
+    """N transitions, and the labels of S states.
+
+    Attributes:
+        source, choice, target: (N,) numbers of the state, of the choice in it, and of the
+            successor, all in range.
+        probability: (N,) floats or Fractions.
+        labels: bool (S,) by name.
+        choice_names: the different labels of choices.
+        choice_name: (N,) which of them each transition's choice has; -1: none.
+        state_names: S names or None.
+    """
+
+    source: Integers
+    choice: Integers
+    target: Integers
+    probability: NDArray[Any]
+    num_states: int
+    labels: Mapping[str, Mask]
+    choice_names: Sequence[str]
+    choice_name: Integers
+    state_names: tuple[str, ...] | None
+
+
+def explicit_model(explicit: Explicit, failure: Failure) -> SafeMDP:
+    """The safe MDP of a labelled model.
+
+    Raises:
+        ValueError: if there is no such label, or naming the state and action at fault.
+    """
+    action, names = _actions(explicit)
+    fail = failure.mask(explicit.labels, explicit.num_states)
+    transitions = Transitions(
+        source=explicit.source,
+        action=action,
+        target=explicit.target,
+        probability=explicit.probability,
+        fail=fail,
+        terminal=_ends(explicit) & ~fail,
+        num_actions=int(action.max(initial=0)) + 1 if names is None else len(names),
+        initial=_initial(explicit),
+        state_names=explicit.state_names,
+        action_names=names,
+    )
+    return build_model(transitions, failure.condition)
+
+
+def read_states(tokens: Tokens, places: Integers, num_states: int, trim: int = 0) -> Integers:
+    """The numbers of states at these tokens, without ``trim`` bytes at each token's end.
+
+    Raises:
+        ValueError: naming the file and line of the first that is no state.
+    """
+    states = tokens.integers(places, "a state", trim)
+    bad = np.flatnonzero(states >= num_states)
+    if len(bad):
+        raise tokens.error_at(
+            int(places[bad[0]]), f"state {states[bad[0]]} does not exist (0 to {num_states - 1})"
+        )
+    return states
+
+
+def check_distributions(
+    tokens: Tokens,
+    lines: Integers,
+    source: Integers,
+    choice: Integers,
+    probability: NDArray[Any],
+) -> None:
+    """Check that the probabilities of each choice are a distribution.
+
+    Raises:
+        ValueError: naming the file and line (the first of the choice), state and choice.
+    """
+
+    def fail(place: int, what: str) -> ValueError:
+        where = f"state {source[place]}, choice {choice[place]}"
+        return tokens.error(int(lines[place]), f"{where}: {what}")
+
+    if not len(source):
+        return
+    negative = np.flatnonzero(probability < 0)
+    if len(negative):
+        raise fail(int(negative[0]), f"negative probability {probability[negative[0]]}")
+    row = source * (int(choice.max()) + 1) + choice
+    if probability.dtype == object:
+        exact_total = np.zeros(int(row.max()) + 1, dtype=object)
+        np.add.at(exact_total, row, probability)
+        wrong = np.flatnonzero(exact_total[row] != 1)
+        if len(wrong):
+            raise fail(wrong[0], f"probabilities sum to {exact_total[row[wrong[0]]]}, not 1")
+        return
+    total = np.bincount(row, probability)
+    wrong = np.flatnonzero(np.abs(total[row] - 1) > ROW_SUM_TOLERANCE)
+    if len(wrong):
+        raise fail(wrong[0], f"probabilities sum to {total[row[wrong[0]]]:.12g}, not 1")
+
+
+def count_distinct(values: Integers) -> int:
+    """How many different values there are; linear if they are sorted, as in most files."""
+    ordered = np.sort(values, kind="stable")
+    return int(np.count_nonzero(np.diff(ordered))) + (len(ordered) > 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """A model's transitions as the formats list them, by state, then by choice.
+
+    Fail states have one choice that stays, since the formats know no state without choices.
+
+    Attributes:
+        state, choice, target: (N,); the choices of a state are numbered from 0 without gaps.
+        action: (N,) the name of the choice's action.
+        probability: (N,) shortest decimals, or fractions if the model is exact.
+    """
+
+    state: list[int]
+    choice: list[int]
+    target: list[int]
+    action: list[str]
+    probability: list[str]
+    num_choices: int
+
+
+def model_rows(model: SafeMDP) -> Rows:
+    """The transitions of a model, ready to be written."""
+    kernel, num_actions = model.transitions(), model.num_actions
+    names = model.action_names or [f"a{action}" for action in range(num_actions)]
+    written = [str(p) for p in model.exact] if model.exact else map(repr, kernel.data.tolist())
+    fails = np.flatnonzero(model.fail)
+    row = np.repeat(np.arange(kernel.shape[0]), np.diff(kernel.indptr))
+    row = np.concatenate((row, fails * num_actions))
+    order = np.argsort(row, kind="stable")
+    row = row[order]
+    taken = model.available.copy()
+    taken[fails, 0] = True
+    choice = (np.cumsum(taken, axis=1) - 1).ravel()[row]
+    probability = np.array([*written, *["1"] * len(fails)], dtype=object)[order]
+    return Rows(
+        state=(row // num_actions).tolist(),
+        choice=choice.tolist(),
+        target=np.concatenate((kernel.indices, fails))[order].tolist(),
+        action=[names[action] for action in (row % num_actions).tolist()],
+        probability=probability.tolist(),
+        num_choices=int(np.count_nonzero(taken)),
+    )
+
+
+def model_labels(model: SafeMDP) -> dict[str, Mask]:
+    """The labels that our readers understand, and PRISM's "deadlock", which no state has."""
+    none = np.zeros(model.num_states, dtype=np.bool_)
+    initial = none if model.initial is None else model.initial > 0
+    return {"init": initial, "deadlock": none, "fail": model.fail, "terminal": model.terminal}
+
+
+def _actions(explicit: Explicit) -> tuple[Integers, tuple[str, ...] | None]:
+    """(N,) the action of each transition, and the actions' names.
+
+    The labels serve if each choice has one and no two choices of a state share it.
+    """
+    names, name = explicit.choice_names, explicit.choice_name
+    if not names or len(names) > MAX_NAMED_ACTIONS or (name < 0).any():
+        return explicit.choice, None
+    choice = explicit.source * (int(explicit.choice.max(initial=0)) + 1) + explicit.choice
+    labelled = explicit.source * len(names) + name
+    if (
+        count_distinct(choice)
+        == count_distinct(labelled)
+        == count_distinct(choice * len(names) + name)
+    ):
+        return name, tuple(names)
+    return explicit.choice, None
+
+
+def _ends(explicit: Explicit) -> Mask:
+    """bool (S,): states without a choice, and those labelled terminal that only stay."""
+    continues = np.zeros(explicit.num_states, dtype=np.bool_)
+    continues[explicit.source] = True
+    ends = ~continues
+    if "terminal" in explicit.labels:
+        leaves = np.zeros(explicit.num_states, dtype=np.bool_)
+        leaves[explicit.source[explicit.source != explicit.target]] = True
+        ends |= explicit.labels["terminal"] & ~leaves
+    return ends
+
+
+def _initial(explicit: Explicit) -> NDArray[np.float64] | None:
+    initial = explicit.labels.get("init")
+    if initial is None or not initial.any():
+        return None
+    return initial.astype(np.float64) / np.count_nonzero(initial)

@@ -1,0 +1,250 @@
+"""PRISM's explicit files: reading, round trips, and what is said about bad ones."""
+
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dead_ends.io import load_model, save_model
+from dead_ends.io.explicit import Failure
+from dead_ends.io.prism import load_prism
+from dead_ends.labels import classify
+from dead_ends.model import SafeMDP
+
+TRA = """\
+4 5 7
+0 0 1 0.5 go
+0 0 2 0.5 go
+0 1 0 1 wait
+1 0 1 1 go
+2 0 3 1 go
+3 0 3 0.25 go
+3 0 1 0.75 go
+"""
+LAB = """\
+0="init" 1="deadlock" 2="crash"
+0: 0
+1: 2
+"""
+STA = """\
+(x,y)
+0:(0,0)
+1:(0,1)
+2:(1,0)
+3:(1,1)
+"""
+
+
+def write(folder: Path, tra: str = TRA, lab: str | None = LAB, sta: str | None = STA) -> Path:
+    for suffix, text in ((".tra", tra), (".lab", lab), (".sta", sta)):
+        if text is not None:
+            (folder / f"model{suffix}").write_text(text)
+    return folder / "model.tra"
+
+
+def test_an_mdp(tmp_path: Path) -> None:
+    model = load_model(write(tmp_path), fail_label="crash")
+    assert model.action_names == ("go", "wait")
+    assert model.state_names == ("x=0,y=0", "x=0,y=1", "x=1,y=0", "x=1,y=1")
+    assert model.fail.tolist() == [False, True, False, False]
+    assert model.initial is not None
+    assert model.initial.tolist() == [1, 0, 0, 0]
+    assert model.available.tolist() == [[True, True], [False] * 2, [True, False], [True, False]]
+    expected = np.zeros((8, 4))
+    expected[0, 1:3], expected[1, 0], expected[4, 3], expected[6] = 0.5, 1, 1, [0, 0.75, 0, 0.25]
+    assert np.array_equal(model.transitions().toarray(), expected)
+    assert classify(model).labels.tolist() == [2, 0, 1, 1]
+
+
+def test_a_dtmc_with_comments_and_a_deadlock(tmp_path: Path) -> None:
+    tra = "# a chain\n3 3\n\n0 1 0.5\n0 2 0.5\n1 2 1\n"
+    model = load_prism(write(tmp_path, tra, '0="init" 2="fail"\n1: 2\n0: 0\n', None))
+    assert model.num_actions == 1
+    assert model.terminal.tolist() == [False, False, True]
+    assert classify(model).labels.tolist() == [3, 0, 2]
+
+
+def test_windows_line_ends_and_no_last_line_end(
+    tmp_path: Path, assert_same_dynamics: Callable[[SafeMDP, SafeMDP], None]
+) -> None:
+    path = write(tmp_path, TRA.replace("\n", "\r\n")[:-2], LAB.replace("\n", "\r\n"), None)
+    assert_same_dynamics(
+        load_prism(path, Failure("crash")),
+        load_prism(write(tmp_path, sta=None), Failure("crash")),
+    )
+
+
+def test_choices_are_numbered_where_labels_do_not_tell_them_apart(tmp_path: Path) -> None:
+    for tra in (
+        TRA.replace("wait", "go"),
+        TRA.replace(" go\n3 0 3", "\n3 0 3"),
+        TRA.replace(" go", ""),
+    ):
+        model = load_prism(write(tmp_path, tra), Failure("crash"))
+        assert model.action_names is None
+        assert model.available[0].tolist() == [True, True]
+
+
+def test_fractions_are_kept(tmp_path: Path) -> None:
+    tra = "2 3\n0 0 1/3\n0 1 2/3\n1 1 1\n"
+    model = load_prism(write(tmp_path, tra, None, None), Failure(states=[1]))
+    assert model.exact == (Fraction(1, 3), Fraction(2, 3))
+
+
+def test_which_states_fail(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    assert load_model(path, fail_states=[3]).fail.tolist() == [False, False, False, True]
+    both = load_model(path, fail_states=[3], fail_label="crash")
+    assert both.fail.tolist() == [False, True, False, True]
+    added = load_model(path, fail_if="s == 0 and s2 == 2")
+    assert added.fail.tolist() == [False] * 4 + [True]
+    with pytest.raises(ValueError, match=r"no label 'fail' \(labels: init, deadlock, crash\); say"):
+        load_model(path)
+    with pytest.raises(ValueError, match=r"no label 'x' \(labels: init, deadlock, crash\)$"):
+        load_model(path, fail_label="x")
+    with pytest.raises(ValueError, match="unknown name 'r'"):
+        load_model(path, fail_if="r > 0")
+
+
+TABLE = np.array([[0, 1], [2, 2], [0, 0], [3, -1], [-1, 4]])
+ENDS: dict[str, Any] = {
+    "fail": np.array([False, False, True, False, False]),
+    "terminal": np.array([False, False, False, True, False]),
+}
+
+
+def models() -> dict[str, SafeMDP]:
+    P = np.zeros((5, 2, 5))
+    P[0, 0, :3], P[0, 1, 4], P[1, :, 3], P[4, 1, [0, 2]] = 1 / 3, 1, 1, [0.1, 0.9]
+    available = np.array([[1, 1], [1, 1], [0, 0], [0, 0], [0, 1]]) == 1
+    third = np.vectorize(lambda p: Fraction(str(p)).limit_denominator(10), otypes=[object])
+    named = {"state_names": ["a", "b b", "c:d", "(e)", "ü"], "action_names": ["go", "wait"]}
+    return {
+        "table": SafeMDP.deterministic(TABLE, **ENDS, initial=[0, 1]),
+        "names": SafeMDP.deterministic(TABLE, **ENDS, **named),
+        "floats": SafeMDP.stochastic(P, available=available, **ENDS, **named, initial=[4]),
+        "fractions": SafeMDP.stochastic(third(P), available=available, **ENDS),
+    }
+
+
+@pytest.mark.parametrize("suffix", [".tra", ".drn"])
+@pytest.mark.parametrize("name", list(models()))
+def test_round_trips(
+    name: str,
+    suffix: str,
+    tmp_path: Path,
+    assert_same_dynamics: Callable[[SafeMDP, SafeMDP], None],
+) -> None:
+    model = models()[name]
+    path = tmp_path / f"model{suffix}"
+    save_model(path, model)
+    loaded = load_model(path)
+    assert_same_dynamics(loaded, model)
+    assert loaded.action_names == (model.action_names or ("a0", "a1"))
+    assert (loaded.initial is None) == (model.initial is None)
+    if model.initial is not None:
+        assert np.array_equal(loaded.initial, model.initial)
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
+def test_an_old_state_file_does_not_stay(tmp_path: Path) -> None:
+    path = tmp_path / "model.tra"
+    save_model(path, models()["names"])
+    assert (tmp_path / "model.sta").exists()
+    save_model(path, models()["table"])
+    assert load_model(path).state_names is None
+
+
+@pytest.mark.parametrize("suffix", [".tra", ".drn"])
+def test_names_that_cannot_be_written(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"model{suffix}"
+    for names in ({"action_names": ["a b", "c"]}, {"state_names": ["a\n", "b", "c", "d", "e"]}):
+        with pytest.raises(ValueError, match=f"model{suffix}: the .*'s name .* cannot be written"):
+            save_model(path, SafeMDP.deterministic(TABLE, **ENDS, **names))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (TRA, "", "model.tra: the file is empty"),
+        (TRA, "# only a comment\n", "model.tra: the file is empty"),
+        ("4 5 7", "4", "line 1: expected 'states transitions' or 'states choices transitions'"),
+        ("4 5 7", "4 5 x", "line 1: 'x' is not a number of states, choices or transitions"),
+        ("3 0 3 0.25 go\n3 0 1 0.75 go\n", "", "line 6: the file ends after 5 of 7 transitions"),
+        ("3 0 1 0.75 go", "3 0 1", "line 8: expected 'state choice successor probability .action"),
+        ("4 5 7", "4 5 6", "the first line announces 6 transitions, there are 7"),
+        ("4 5 7", "4 6 7", "line 1: the first line announces 6 choices, there are 5"),
+        ("4 5 7", "4 1 7", "line 4: choice 1 of 1 choices in all"),
+        ("2 0 3 1", "2 0 4 1", r"line 6: state 4 does not exist \(0 to 3\)"),
+        ("2 0 3 1", "7 0 3 1", r"line 6: state 7 does not exist \(0 to 3\)"),
+        ("2 0 3 1", "-2 0 3 1", "line 6: '-2' is not a state"),
+        ("2 0 3 1", "2 x 3 1", "line 6: 'x' is not a choice"),
+        ("2 0 3 1", "2 0 3 p", "line 6: 'p' is not a probability"),
+        (
+            "0 0 2 0.5",
+            "0 0 2 0.499",
+            "line 2: state 0, choice 0: probabilities sum to 0.999, not 1",
+        ),
+        ("0 0 2 0.5", "0 0 2 -0.5", "line 3: state 0, choice 0: negative probability -0.5"),
+        ("0.5", "1/3", "line 2: state 0, choice 0: probabilities sum to 2/3, not 1"),
+    ],
+)
+def test_bad_transitions(old: str, new: str, message: str, tmp_path: Path) -> None:
+    path = write(tmp_path, TRA.replace(old, new))
+    with pytest.raises(ValueError, match=message) as caught:
+        load_prism(path, Failure("crash"))
+    assert str(caught.value).startswith(str(path))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('2="crash"', '2="init"', "line 1: two labels are called 'init'"),
+        ('2="crash"', '0="crash"', "line 1: two labels have the number 0"),
+        ('2="crash"', "crash", "line 1: expected the labels, such as"),
+        ("1: 2", "1: 3", "line 3: label 3 is not in the first line"),
+        ("1: 2", "1: x", "line 3: 'x' is not the number of a label"),
+        ("1: 2", "9: 2", r"line 3: state 9 does not exist \(0 to 3\)"),
+        ("1: 2", "1 2", "line 3: expected 'state: label label ...'"),
+        ("1: 2", "x: 2", "line 3: 'x:' is not a state"),
+        (LAB, "", "the file is empty"),
+    ],
+)
+def test_bad_labels(old: str, new: str, message: str, tmp_path: Path) -> None:
+    path = write(tmp_path, lab=LAB.replace(old, new))
+    with pytest.raises(ValueError, match=message) as caught:
+        load_prism(path, Failure("crash"))
+    assert str(caught.value).startswith(str(path.with_suffix(".lab")))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("(x,y)", "x,y", r"line 1: expected the variables, such as \(x,y\)"),
+        ("3:(1,1)", "3:(1)", "line 5: expected 2 values, not 1"),
+        ("3:(1,1)", "9:(1,1)", "line 5: state 9 does not exist"),
+        ("3:(1,1)", "3 (1,1)", "line 5: expected 'state:"),
+        ("3:(1,1)", "", "state 3 is missing"),
+        (STA, "", "the file is empty"),
+    ],
+)
+def test_bad_states(old: str, new: str, message: str, tmp_path: Path) -> None:
+    path = write(tmp_path, sta=STA.replace(old, new))
+    with pytest.raises(ValueError, match=message) as caught:
+        load_prism(path, Failure("crash"))
+    assert str(caught.value).startswith(str(path.with_suffix(".sta")))
+
+
+def test_missing_files(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        load_model(tmp_path / "absent.tra")
+    with pytest.raises(ValueError, match="no label 'fail' .labels: none.; say which"):
+        load_model(write(tmp_path, lab=None, sta=None))
+    with pytest.raises(ValueError, match="the folder .* does not exist"):
+        save_model(tmp_path / "absent" / "model.tra", models()["table"])
+    with pytest.raises(ValueError, match=r"constants \(--constants\) means nothing"):
+        load_model(write(tmp_path), constants="N=1")
