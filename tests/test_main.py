@@ -17,6 +17,7 @@ import dead_ends.cli.source
 from dead_ends import __version__
 from dead_ends.__main__ import main
 from dead_ends.io import load_model
+from dead_ends.io.filter_table import load_filter
 from dead_ends.labels import classify
 
 PYTHON = [sys.executable, "-m", "dead_ends"]
@@ -155,6 +156,53 @@ def test_convert(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert np.array_equal(load_model(path).fail, load_model("FrozenLake-v1").fail)
 
 
+def test_export(capsys: pytest.CaptureFixture[str], corridor: str, tmp_path: Path) -> None:
+    path = tmp_path / "filter.npz"
+    status, out, _ = run(capsys, "export", corridor, "--out", str(path))
+    assert (status, out) == (0, f"wrote {path}: 1 of 8 actions pass\n")
+    exact = load_filter(path)
+    assert exact.allowed.tolist() == [[True, False]] + [[False, False]] * 3
+    assert exact.recovery.tolist() == [0, 0, 0, 0]
+    assert exact.metadata["epsilon_safe"] is None
+    # At gamma_safe**H_b the threshold says the same; just above it lets the agent into the hall.
+    for threshold, passes in (("1/4", 1), ("0.25", 1), ("0.26", 2)):
+        status, out, _ = run(
+            capsys, "export", corridor, "--out", str(path), "--gamma-safe", "1/2",
+            "--epsilon-safe", threshold,
+        )  # fmt: skip
+        assert f"{passes} of 8 actions pass" in out
+        assert load_filter(path).metadata["gamma_safe"] == "1/2"
+
+
+def test_an_exported_recovery_is_safe_where_powers_underflow(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """0.01**200 is 0 in floating point, the same as Q* of the action that stays."""
+    table = np.arange(1, 202)[:, None] + [0, 0]
+    table[0, 1] = 0
+    np.savez(tmp_path / "long.npz", next_state=[*table, [0, 0]], fail=np.arange(202) == 201)
+    path = tmp_path / "filter.json"
+    run(capsys, "export", str(tmp_path / "long.npz"), "--out", str(path), "--gamma-safe", "0.01")
+    filtered = load_filter(path)
+    assert filtered.recovery[0] == 1
+    assert filtered.allowed[0].tolist() == [False, True]
+
+
+def test_formats_with_labels(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    for suffix in (".tra", ".drn"):
+        path = str(tmp_path / f"lake{suffix}")
+        assert run(capsys, "convert", "FrozenLake-v1", "--out", path)[0] == 0
+        status, out, _ = run(capsys, "label", path, "--fail-label", "fail", "--json")
+        assert status == 0
+        assert [json.loads(out)[key] for key in ("fail", "safe", "at_risk", "terminal")] == [
+            4, 5, 7, 1,
+        ]  # fmt: skip
+        assert "labels: init" in fails(capsys, "explain", path, "0", "--fail-label", "crash")
+        certificate = str(tmp_path / "certificate.npz")
+        assert run(capsys, "certify", path, "--out", certificate)[0] == 0
+        assert run(capsys, "check", certificate, path)[0] == 0
+
+
 def test_certify_and_check(
     capsys: pytest.CaptureFixture[str], corridor: str, tmp_path: Path
 ) -> None:
@@ -215,6 +263,9 @@ def test_explain(
         (["label", "FrozenLake-v1", "--out", "absent/x.csv"], "the folder absent does not exist"),
         (["convert", "FrozenLake-v1", "--out", "x.txt"], "x.txt: models are written as .npz"),
         (["certify", "FrozenLake-v1", "--out", "x.txt"], "x.txt: certificates are written as"),
+        (["export", "FrozenLake-v1", "--out", "x.txt"], "must end in .npz or .json"),
+        (["export", "Taxi-v4", "--out", "x.npz", "--epsilon-safe", "0"], "0 is not positive"),
+        (["export", "Taxi-v4", "--out", "x.npz", "--epsilon-safe", "e"], "'e' is not a number"),
         (["check", "absent.npz", "FrozenLake-v1"], "absent.npz: No such file or directory"),
         (["check", "absent.json", "FrozenLake-v1"], "absent.json: No such file or directory"),
         (["explain", "FrozenLake-v1", "16"], "state 16: states are numbered 0 to 15 and no state"),

@@ -71,13 +71,25 @@ def add_discount_argument(parser: argparse.ArgumentParser) -> None:
 
 def parse_discount(text: str) -> float | Fraction:
     """A discount in (0, 1]; a fraction keeps what follows exact."""
-    try:
-        value = Fraction(text) if "/" in text else float(text)
-    except (ValueError, ZeroDivisionError):
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number") from None
+    value = _parse_number(text)
     if not 0 < value <= 1:
         raise argparse.ArgumentTypeError(f"{text} is not in (0, 1]")
     return value
+
+
+def parse_threshold(text: str) -> float | Fraction:
+    """A positive threshold; a fraction is compared exactly."""
+    value = _parse_number(text)
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"{text} is not positive")
+    return value
+
+
+def _parse_number(text: str) -> float | Fraction:
+    try:
+        return Fraction(text) if "/" in text else float(text)
+    except (ValueError, ZeroDivisionError):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number") from None
 
 
 def parse_states(text: str) -> list[int]:
