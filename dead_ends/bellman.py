@@ -198,7 +198,7 @@ def least(
     available: NDArray[np.bool_],
     known: Known,
     settings: Settings,
-    merged: int = 1,
+    merged: int = 0,
 ) -> Callable[[NDArray[np.int64], Float], Optimum]:
     """The operator min_a q(., a) of a kernel (S * A, S), as ``from_operator`` asks for it.
 

@@ -10,9 +10,9 @@ bounds that the computer holds, and for each operator whose numbers round to tho
 
 1. Value iteration from a lower and an upper bound (sound by itself; slow near gamma = 1).
 2. Policy iteration with floating-point linear solves guesses x*; its errors do not matter.
-3. The guess x is widened to x -+ d h, where h > 0 solves h = w + max over the nearly optimal
-   choices of P h. Then F(x + d h) <= x + d h - d w + |F(x) - x|, so that a d slightly above
-   the rounding errors passes the test in 1. Both w = x (relative errors) and w = 1 are tried.
+3. For a vector d > 0 the fixed points of F - d and F + d, guessed in the same way, pass the
+   test above if d exceeds the rounding errors. These are measured at the guess of x*; d is
+   twice the error of each component, and, if that fails, twice the greatest error.
 4. More value iteration from these bounds, until they are as close as wanted.
 
 The idea of verifying guesses is that of optimistic value iteration (Hartmanns and Kaminski,
@@ -21,23 +21,26 @@ CAV 2020).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse import linalg
 
-from dead_ends.rounding import Csr, Float
+from dead_ends.linear import LinearSolver
+from dead_ends.rounding import TINY, Csr, Float
 
 __all__ = ["Enclosure", "MonotoneOperator", "enclose"]
 
-DIRECT_SIZE = 2000
-"""Up to so many unknowns a sparse LU always fits; beyond, fill-in is bounded."""
 WARM_UP = 20
-POLICY_ITERATIONS = 60
+SHIFTED_ITERATIONS = 8
+SWEEPS = 10
+EPSILON = 2.0**-52
+
+
+Solve = Callable[[Csr, Float, Float], Float | None]
+"""(M, c, start) -> an approximate solution of x = M x + c."""
 
 
 class MonotoneOperator(Protocol):
@@ -54,9 +57,6 @@ class MonotoneOperator(Protocol):
 
     def linear(self, x: Float) -> tuple[Csr, Float]:
         """(M, c) with F(x) = M x + c: the choices that F makes at x."""
-
-    def steepest(self, x: Float, h: Float) -> Csr:
-        """Of the choices that are nearly as good at x, those that make M h greatest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +87,8 @@ def enclose(
     Returns:
         The best bounds found; the caller decides what it means that they are too wide.
     """
+    if len(lower) == 0:
+        return Enclosure(lower, lower, upper, 0)
     warm_up = min(WARM_UP, max_iterations)
     for _ in range(warm_up):
         lower = np.maximum(lower, operator.lower(lower))
@@ -94,7 +96,7 @@ def enclose(
     guess = _guess(operator, lower)
     if guess is not None:
         guess = np.clip(guess, lower, upper)
-        low, high = _verify(operator, guess)
+        low, high = _verified(operator, guess)
         lower, upper = np.maximum(lower, low), np.minimum(upper, high)
     iterations = warm_up
     while iterations < max_iterations and _width(lower, upper) > tolerance:
@@ -109,75 +111,78 @@ def enclose(
 
 
 def _width(lower: Float, upper: Float) -> float:
-    return float(np.max(upper - lower, initial=0.0))
+    return float(np.max(upper - lower))
 
 
 def _guess(operator: MonotoneOperator, x: Float) -> Float | None:
-    """The fixed point by policy iteration; None if the linear solves fail."""
-    matrix, constant = operator.linear(x)
-    for _ in range(POLICY_ITERATIONS):
-        solved = _solve(matrix, constant, x)
+    """The fixed point, first quickly, then with small relative errors where that is possible."""
+    solver = LinearSolver(operator.linear(x)[0])
+    rough = _policy_iteration(operator, solver.quickly, x, 60, np.max)
+    if rough is None:
+        return None
+    return _policy_iteration(operator, solver.carefully, rough, 12, np.abs)
+
+
+def _policy_iteration(
+    operator: MonotoneOperator,
+    solve: Solve,
+    x: Float,
+    rounds: int,
+    scale: Callable[[Float], Float],
+) -> Float | None:
+    """The fixed point by policy iteration, from x; None if a linear solve fails.
+
+    Between two solves some sweeps of value iteration carry improvements further. It ends when
+    the values, in units of ``scale``, change by rounding errors only.
+    """
+    previous = np.inf
+    for _ in range(rounds):
+        matrix, constant = operator.linear(x)
+        solved = solve(matrix, constant, x)
         if solved is None:
             return None
-        change = np.abs(solved - x)
+        change = np.max(np.abs(solved - x) / np.maximum(scale(solved), TINY))
         x = solved
-        if (change <= 1e-15 * np.abs(x)).all():
+        if change <= 1e-14 or (change <= 1e-10 and change > previous / 2):
             break
-        matrix, constant = operator.linear(x)
+        previous = change
+        for _ in range(SWEEPS):
+            x = operator.value(x)
     return x
 
 
-def _verify(operator: MonotoneOperator, x: Float) -> tuple[Float, Float]:
-    """Bounds x - d h and x + d h that pass the test, or 0 and infinity."""
+def _verified(operator: MonotoneOperator, x: Float) -> tuple[Float, Float]:
+    """Bounds near the guess x that pass the test; 0 and infinity where none is found."""
     lower, upper = np.zeros_like(x), np.full_like(x, np.inf)
-    for weights in (x, np.ones_like(x)):
-        h = _spread(operator, x, weights)
-        if h is None:
-            continue
-        widths = [2.0**exponent * h for exponent in range(-51, -19, 3)]
-        low = _first((np.maximum(x - w, 0.0) for w in widths), lambda l: l <= operator.lower(l))
-        high = _first((x + w for w in widths), lambda u: u >= operator.upper(u))
-        if low is not None:
-            lower = np.maximum(lower, low)
-        if high is not None:
-            upper = np.minimum(upper, high)
+    error = np.maximum(operator.upper(x) - x, x - operator.lower(x))
+    margin = 2.0 * error + EPSILON * x
+    for shift in (margin, np.full_like(x, margin.max())):
+        low = _shifted(operator, x, -shift, lambda l: l <= operator.lower(l))
+        high = _shifted(operator, x, shift, lambda u: u >= operator.upper(u))
+        lower = lower if low is None else np.maximum(lower, low)
+        upper = upper if high is None else np.minimum(upper, high)
         if low is not None and high is not None:
             break
     return lower, upper
 
 
-def _first(
-    candidates: Iterator[Float], holds: Callable[[Float], NDArray[np.bool_]]
+def _shifted(
+    operator: MonotoneOperator,
+    x: Float,
+    shift: Float,
+    holds: Callable[[Float], NDArray[np.bool_]],
 ) -> Float | None:
-    return next((candidate for candidate in candidates if holds(candidate).all()), None)
-
-
-def _spread(operator: MonotoneOperator, x: Float, weights: Float) -> Float | None:
-    """h = weights + max over the nearly optimal choices at x of M h, by policy iteration."""
+    """The fixed point of F + shift (or a multiple of it), if it passes the test."""
     matrix, _ = operator.linear(x)
-    h = _solve(matrix, weights, weights)
-    for _ in range(POLICY_ITERATIONS):
-        if h is None or not (h >= 0).all():
-            return None
-        larger = _solve(operator.steepest(x, h), weights, h)
-        if larger is None or (larger <= 1.01 * h).all():
-            break
-        h = larger
-    return h
-
-
-def _solve(matrix: Csr, constant: Float, start: Float) -> Float | None:
-    """x = matrix x + constant, as well as floats can; None if that fails."""
-    system = sparse.csc_array(sparse.eye_array(len(constant)) - matrix)
-    try:
-        if len(constant) <= DIRECT_SIZE:
-            x = linalg.splu(system).solve(constant)
-        else:
-            factors = linalg.spilu(system, drop_tol=1e-4, fill_factor=10)
-            preconditioner = linalg.LinearOperator(system.shape, factors.solve)
-            x, _ = linalg.bicgstab(
-                system, constant, x0=start, rtol=1e-15, atol=0.0, maxiter=300, M=preconditioner
-            )
-    except RuntimeError:  # exactly singular
-        return None
-    return x if np.isfinite(x).all() else None
+    solver = LinearSolver(matrix)
+    for factor in (1.0, 8.0, 64.0):
+        candidate = x
+        for _ in range(SHIFTED_ITERATIONS):
+            matrix, constant = operator.linear(candidate)
+            solved = solver.carefully(matrix, constant + factor * shift, candidate)
+            if solved is None:
+                return None
+            candidate = np.maximum(solved, 0.0)
+            if holds(candidate).all():
+                return candidate
+    return None

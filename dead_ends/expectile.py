@@ -40,7 +40,7 @@ from dead_ends.conventions import CriticConvention, ValueConvention
 from dead_ends.critic import Known, Settings, from_equations, from_operator, from_times
 from dead_ends.discount import Discount
 from dead_ends.model import SafeMDP
-from dead_ends.operators import NEARLY, unknown_rows
+from dead_ends.operators import unknown_rows
 from dead_ends.policy_input import (
     as_distribution,
     check_policy,
@@ -213,17 +213,6 @@ class Expectile:
         mixing = self._mixing(q, means.argmin(axis=1) if self._least else means.argmax(axis=1))
         return self._on_unknown(mixing), product(mixing, self.kernel.sums(self.weights))
 
-    def steepest(self, x: Float, h: Float) -> Csr:
-        """Of the means that are nearly chosen at x, those whose successors' h is greatest."""
-        q = self.kernel.sums(self._successors(x))
-        means = self._means(q)
-        best = self._best(means)[:, None]
-        spread = np.zeros_like(self.weights)
-        spread[self.unknown] = h
-        slopes = self._means(product(self.kernel.matrix, spread), order=self._order(q))
-        near = np.abs(means - best) <= NEARLY * best
-        return self._on_unknown(self._mixing(q, np.where(near, slopes, -1.0).argmax(axis=1)))
-
     @property
     def _least(self) -> bool:
         return self.expectile <= 0.5
@@ -250,9 +239,9 @@ class Expectile:
         table = np.where(self.data > 0, q.reshape(self.data.shape), np.inf)
         return np.argsort(table, axis=1, kind="stable")
 
-    def _means(self, q: Float, order: NDArray[np.int64] | None = None) -> Float:
+    def _means(self, q: Float) -> Float:
         """float (n, A): the mean with the lower factor on the k + 1 least actions."""
-        order = self._order(q) if order is None else order
+        order = self._order(q)
         data = np.take_along_axis(self.data, order, axis=1)
         terms = data * np.take_along_axis(q.reshape(self.data.shape), order, axis=1)
         below, above = self._factors

@@ -15,12 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from dead_ends.rounding import Csr, Float, RoundedKernel, grow, product, shrink
+from dead_ends.rounding import Csr, Float, RoundedKernel, grow, shrink
 
 __all__ = ["Optimum", "unknown_rows"]
-
-NEARLY = 1e-6
-"""Choices within this relative distance of the best count as nearly optimal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,23 +66,9 @@ class Optimum:
         chosen = self.kernel.rows(rows)
         return self._on_unknown(chosen.matrix), self.reward + chosen.sums(self.weights)
 
-    def steepest(self, x: Float, h: Float) -> Csr:
-        """The rows of the nearly best actions at x whose successors' h is greatest."""
-        q = self._table(self.reward + self.kernel.sums(self._successors(x)))
-        best = self._best(q.ravel())[:, None]
-        near = self.available & (np.abs(q - best) <= NEARLY * np.abs(best))
-        spread = product(self.kernel.matrix, self._spread(h)).reshape(near.shape)
-        rows = self._pick(np.where(near, spread, -1.0).argmax(axis=1))
-        return self._on_unknown(sparse.csr_array(self.kernel.matrix[rows]))
-
     def _successors(self, x: Float) -> Float:
         weights = self.weights.copy()
         weights[self.unknown] = self.gamma * x
-        return weights
-
-    def _spread(self, h: Float) -> Float:
-        weights = np.zeros_like(self.weights)
-        weights[self.unknown] = h
         return weights
 
     def _table(self, q: Float) -> Float:

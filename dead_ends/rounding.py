@@ -4,10 +4,11 @@ Let u = 2**-53. If x is computed from non-negative floats by m operations (+, *)
 along the longest chain, then the true result lies within x (1 +- m u / (1 - m u)). A float
 that stands for any real number that rounds to it counts as one more operation. So
 
-    x (1 - m u) <= truth <= x (1 + 2 m u),
+    x (1 - m u) <= truth <= x (1 + (m + 2) u),
 
-and both factors are floats. Underflow adds at most m times the smallest normal number
-(which holds even where the processor flushes subnormal numbers to zero).
+as long as m < 2**25; the last term also covers the rounding of 1 + (m + 2) u. Underflow adds
+at most m times the smallest normal number (which holds even where the processor flushes
+subnormal numbers to zero).
 
 Probabilities, discounts and values are never negative, so this is all the interval
 arithmetic that the solvers need, and it costs one multiplication a row.
@@ -22,16 +23,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-__all__ = ["Csr", "Float", "RoundedKernel", "grow", "pattern", "product", "shrink"]
+__all__ = ["TINY", "Csr", "Float", "RoundedKernel", "grow", "pattern", "product", "shrink"]
 
 Float = NDArray[np.float64]
 Csr = sparse.csr_array[np.float64]
 
 UNIT = 2.0**-53
 TINY = float(np.finfo(np.float64).tiny)
-CONSTANT_OPERATIONS = 8
-"""A row's operations that do not grow with it: probability, gamma, gamma * value, the sum
-with a constant, the outward factor itself, and three to spare."""
+CONSTANT_OPERATIONS = 6
+"""A row's operations that do not grow with it: the probability and gamma as they are given,
+gamma * value, probability * weight, and the two of the outward rounding itself."""
 
 
 def shrink(value: Float, operations: Float | float) -> Float:
@@ -42,7 +43,7 @@ def shrink(value: Float, operations: Float | float) -> Float:
 
 def grow(value: Float, operations: Float | float) -> Float:
     """An upper bound of what ``value`` is after that many operations."""
-    result: Float = value * (1 + 2 * operations * UNIT) + operations * TINY
+    result: Float = value * (1 + (operations + 2) * UNIT) + operations * TINY
     return result
 
 
@@ -64,22 +65,20 @@ class RoundedKernel:
 
     @classmethod
     def build(
-        cls, kernel: Csr, zero: NDArray[np.bool_], one: NDArray[np.bool_], merged: int = 1
+        cls, kernel: Csr, zero: NDArray[np.bool_], one: NDArray[np.bool_], merged: int = 0
     ) -> RoundedKernel:
         """The rows of ``kernel`` without the states of weight 0.
 
         Args:
             kernel: CSR (R, S).
             zero, one: bool (S,), states whose weight is 0 or 1 in every product to come.
-            merged: the number of products that were added up in an entry.
+            merged: the operations that an entry of the kernel took.
         """
         matrix = kernel @ sparse.diags_array((~zero).astype(np.float64))
         matrix.eliminate_zeros()
         matrix = sparse.csr_array(matrix)
-        successors = np.diff(matrix.indptr).astype(np.float64)
-        operations = np.where(
-            successors > 0, successors * (merged + 1) + merged + CONSTANT_OPERATIONS, 0.0
-        )
+        terms = np.diff(matrix.indptr).astype(np.float64)
+        operations = np.where(terms > 0, terms + merged + CONSTANT_OPERATIONS, 0.0)
         others = product(pattern(kernel), (~one).astype(np.float64))
         certain = (others == 0) & (np.diff(kernel.indptr) > 0)
         return cls(matrix, operations, certain)

@@ -1,0 +1,101 @@
+"""Floating-point solutions of x = M x + c, where M >= 0 has row sums of at most 1.
+
+Nothing here is trusted: what is built on these solutions is verified with outward rounding
+(:mod:`dead_ends.enclosure`). They only have to be good, and fast where that is possible:
+
+* sparse elimination, where the graph is narrow enough. Without pivoting it adds, multiplies
+  and divides non-negative numbers except on the diagonal, so that small components have
+  small relative errors too;
+* Krylov iterations, where the chain mixes fast. Errors are small against the largest
+  component.
+
+A large graph that is neither has no quick solution.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph, linalg
+
+from dead_ends.rounding import Csr, Float, product
+
+__all__ = ["LinearSolver"]
+
+Csc = sparse.csc_array[np.float64]
+
+SMALL = 2000
+"""Up to so many unknowns elimination takes no time."""
+ELIMINATION_COST = 1e11
+"""Beyond, it is used if a banded one would need no more multiplications than this."""
+REFINEMENTS = 8
+
+
+class LinearSolver:
+    """Solves systems with similar graphs; remembers whether elimination is affordable."""
+
+    def __init__(self, matrix: Csr) -> None:
+        """
+        Args:
+            matrix: M of the first system, for a look at its graph.
+        """
+        size = matrix.shape[0]
+        self._small = size <= SMALL
+        self._eliminates = self._small or _elimination_cost(matrix) <= ELIMINATION_COST
+
+    def quickly(self, matrix: Csr, constant: Float, start: Float) -> Float | None:
+        """x with errors small against its largest component; None if there is no quick way."""
+        if self._small:
+            return _eliminated(matrix, constant)
+        x = _krylov(matrix, constant, start)
+        return _eliminated(matrix, constant) if x is None and self._eliminates else x
+
+    def carefully(self, matrix: Csr, constant: Float, start: Float) -> Float | None:
+        """x with small relative errors, where elimination is affordable."""
+        if self._eliminates:
+            return _eliminated(matrix, constant)
+        return _krylov(matrix, constant, start)
+
+
+def _eliminated(matrix: Csr, constant: Float) -> Float | None:
+    """Sparse LU without pivoting: the diagonal of 1 - M dominates its row."""
+    system = sparse.csc_array(sparse.eye_array(len(constant)) - matrix)
+    try:
+        factors = linalg.splu(
+            system,
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+    except RuntimeError:  # exactly singular
+        return None
+    x: Float = factors.solve(constant)
+    return x if np.isfinite(x).all() else None
+
+
+def _krylov(matrix: Csr, constant: Float, start: Float) -> Float | None:
+    """GMRES with refinement; None if the residual does not come down to rounding errors."""
+    system = sparse.csr_array(sparse.eye_array(len(constant)) - matrix)
+    x = start
+    residual = constant - product(system, x)
+    for _ in range(REFINEMENTS):
+        before = np.abs(residual).max()
+        if before <= 2e-16 * np.abs(x).max():
+            break
+        correction, _ = linalg.gmres(system, residual, rtol=1e-6, atol=0.0, restart=50, maxiter=1)
+        x = x + correction
+        residual = constant - product(system, x)
+        if not np.abs(residual).max() < 0.3 * before:
+            break
+    return x if np.abs(residual).max() <= 4e-15 * np.abs(x).max() else None
+
+
+def _elimination_cost(matrix: Csr) -> float:
+    """Multiplications of a banded elimination, an upper estimate for a good sparse one."""
+    graph = sparse.csr_array(matrix + matrix.T)
+    order = csgraph.reverse_cuthill_mckee(graph, symmetric_mode=True)
+    place = np.empty(len(order), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    rows = np.repeat(place, np.diff(graph.indptr))
+    bandwidth = float(np.max(rows - place[graph.indices], initial=0))
+    return len(order) * bandwidth**2
