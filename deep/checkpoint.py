@@ -1,0 +1,61 @@
+"""A learner's whole state in one safetensors file: networks, optimizers, updates done."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from dead_ends.io.atomic import atomic_path
+from deep.pretrain.learner import Learner
+
+__all__ = ["load_checkpoint", "save_checkpoint"]
+
+
+def save_checkpoint(learner: Learner, update: int, path: str | os.PathLike[str]) -> None:
+    """Write the state after ``update`` updates; the file is whole or as it was before."""
+    tensors = {f"network.{name}": tensor for name, tensor in learner.state_dict().items()}
+    for i, optimizer in enumerate(learner.optimizers):
+        for j, state in optimizer.state_dict()["state"].items():
+            tensors |= {f"optimizer.{i}.{j}.{name}": tensor for name, tensor in state.items()}
+    contiguous = {name: tensor.detach().contiguous() for name, tensor in tensors.items()}
+    with atomic_path(path) as temporary:
+        save_file(contiguous, temporary, metadata={"update": str(update)})
+
+
+def load_checkpoint(learner: Learner, path: str | os.PathLike[str]) -> int:
+    """Put the state back into a learner of the same settings; the updates done.
+
+    Raises:
+        ValueError: if the file is broken or belongs to other settings.
+    """
+    try:
+        with safe_open(Path(path), framework="pt") as file:
+            update = int((file.metadata() or {})["update"])
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (no mapping)
+        networks = {
+            name.removeprefix("network."): tensor
+            for name, tensor in tensors.items()
+            if name.startswith("network.")
+        }
+        learner.load_state_dict(networks)
+    except (SafetensorError, KeyError, RuntimeError) as error:
+        raise ValueError(f"{path}: not a checkpoint of this run ({error})") from error
+    for i, optimizer in enumerate(learner.optimizers):
+        state = optimizer.state_dict()
+        state["state"] = _optimizer_state(tensors, i)
+        optimizer.load_state_dict(state)
+    return update
+
+
+def _optimizer_state(tensors: dict[str, Tensor], optimizer: int) -> dict[int, dict[str, Tensor]]:
+    state: dict[int, dict[str, Tensor]] = {}
+    for name, tensor in tensors.items():
+        kind, *place = name.split(".")
+        if kind == "optimizer" and int(place[0]) == optimizer:
+            state.setdefault(int(place[1]), {})[place[2]] = torch.clone(tensor)
+    return state

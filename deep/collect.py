@@ -1,0 +1,214 @@
+"""Collecting offline data: random actions, given policies, and their mixture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deep.data import Transitions, concatenate, keep_before_violation
+from deep.tasks.task import Floats, Observations, Task
+
+__all__ = [
+    "Policy",
+    "Source",
+    "collect",
+    "collect_mix",
+    "corner_policy",
+    "random_policy",
+    "sb3_policy",
+    "towards_obstacle_policy",
+    "uniform_starts",
+]
+
+Actions: TypeAlias = NDArray[np.floating[Any]]
+Policy: TypeAlias = Callable[[Observations, Floats, np.random.Generator], Actions]
+"""(observations (n, o), states (n, s), rng) -> actions (n, a) in [-1, 1]."""
+Starts: TypeAlias = Callable[[np.random.Generator, int], Floats]
+
+
+class _Predictor(Protocol):
+    def predict(self, observation: Any, *, deterministic: bool = ...) -> tuple[Any, Any]: ...
+
+
+def random_policy(task: Task) -> Policy:
+    """Uniform actions."""
+
+    def act(_: Observations, state: Floats, rng: np.random.Generator) -> Actions:
+        return rng.uniform(-1, 1, (len(state), task.action_dim))
+
+    return act
+
+
+def corner_policy(task: Task) -> Policy:
+    """Every coordinate at one end of its range: full braking and full turns are in the data."""
+
+    def act(_: Observations, state: Floats, rng: np.random.Generator) -> Actions:
+        return rng.choice((-1.0, 1.0), size=(len(state), task.action_dim))
+
+    return act
+
+
+def towards_obstacle_policy(task: Task) -> Policy:
+    """The task's adversary: it heads for the nearest obstacle."""
+
+    def act(_: Observations, state: Floats, rng: np.random.Generator) -> Actions:  # noqa: ARG001
+        return task.towards_obstacle(state)
+
+    return act
+
+
+def sb3_policy(model: _Predictor, deterministic: bool = False) -> Policy:
+    """A Stable-Baselines3 model (anything with its ``predict``) as a policy."""
+
+    def act(observation: Observations, _: Floats, rng: np.random.Generator) -> Actions:  # noqa: ARG001
+        actions: Actions = model.predict(observation, deterministic=deterministic)[0]
+        return actions
+
+    return act
+
+
+def uniform_starts(task: Task) -> Starts:
+    """First states uniform over the task's whole box, wherever its episodes begin.
+
+    States in an obstacle are drawn again; dead ones are not: labels enter no data.
+    """
+    from deep.tasks.shapes import inside_any
+
+    def draw(rng: np.random.Generator, n: int) -> Floats:
+        state = rng.uniform(task.low, task.high, (n, len(task.low)))
+        while (hit := inside_any(task.obstacles, task.position(state))).any():
+            state[hit] = rng.uniform(task.low, task.high, (int(hit.sum()), len(task.low)))
+        return state
+
+    return draw
+
+
+def collect(
+    task: Task,
+    policy: Policy,
+    rng: np.random.Generator,
+    transitions: int,
+    *,
+    copies: int = 64,
+    starts: Starts | None = None,
+    max_steps: int | None = None,
+) -> Transitions:
+    """At least ``transitions`` transitions from ``copies`` parallel runs of the task.
+
+    Args:
+        policy: who acts.
+        starts: first states; the task's own by default.
+        max_steps: cut episodes off there, before the task's time limit.
+
+    Raises:
+        ValueError: if the data hold no violation, or a number is not positive.
+    """
+    if transitions < 1 or copies < 1 or (max_steps is not None and max_steps < 1):
+        raise ValueError("transitions, copies and max_steps must be at least 1")
+    begin = task.reset if starts is None else starts
+    limit = task.time_limit if max_steps is None else min(max_steps, task.time_limit)
+    rows = -(-transitions // copies)
+    state, age = begin(rng, copies), np.zeros(copies, dtype=np.int64)
+    columns: dict[str, list[NDArray[Any]]] = {name: [] for name in _COLUMNS}
+    for row in range(rows):
+        observation = task.observe(state)
+        action = np.clip(policy(observation, state, rng), -1, 1)
+        step = task.step(state, action, rng)
+        age += 1
+        terminal = step.violation | step.success
+        timeout = ((age >= limit) | (row == rows - 1)) & ~terminal
+        following = task.observe(step.next_state)
+        values: tuple[NDArray[Any], ...] = (
+            observation,
+            action,
+            following,
+            step.reward,
+            step.violation,
+            terminal,
+            timeout,
+        )
+        for name, value in zip(_COLUMNS, values, strict=True):
+            columns[name].append(value)
+        done = terminal | timeout
+        state = step.next_state
+        state[done] = begin(rng, int(done.sum()))
+        age[done] = 0
+    return Transitions(**{name: _by_copy(column) for name, column in columns.items()})
+
+
+_COLUMNS = (
+    "observations",
+    "actions",
+    "next_observations",
+    "rewards",
+    "costs",
+    "terminals",
+    "timeouts",
+)
+
+
+def _by_copy(column: list[NDArray[Any]]) -> NDArray[Any]:
+    """(rows, copies, ...) -> (copies * rows, ...): one copy's episodes after another's."""
+    stacked = np.stack(column).swapaxes(0, 1)
+    return stacked.reshape(-1, *stacked.shape[2:])
+
+
+@dataclass(frozen=True)
+class Source:
+    """One part of a mixture.
+
+    Attributes:
+        policy: who acts.
+        share: the part of the transitions that it gives, in (0, 1].
+        starts: first states; None: the task's own.
+        keep: only so many steps before each violation; None: all.
+        max_steps: cut episodes off there.
+    """
+
+    policy: Policy
+    share: float
+    starts: Starts | None = None
+    keep: int | None = 100
+    max_steps: int | None = None
+
+
+def collect_mix(
+    task: Task, sources: list[Source], rng: np.random.Generator, transitions: int
+) -> Transitions:
+    """``transitions`` transitions, each source giving its share after its filter.
+
+    Raises:
+        ValueError: if the shares do not sum to 1, or a source gives too few transitions
+            before violations.
+    """
+    total = sum(source.share for source in sources)
+    if abs(total - 1) > 1e-9 or any(source.share <= 0 for source in sources):
+        raise ValueError(f"shares must be positive and sum to 1, not to {total:g}")
+    counts = np.diff(np.round(np.cumsum([0.0, *(s.share for s in sources)]) * transitions))
+    return concatenate(
+        [_kept(task, s, rng, int(n)) for s, n in zip(sources, counts, strict=True) if n >= 1]
+    )
+
+
+MAX_DOUBLINGS = 6
+
+
+def _kept(task: Task, source: Source, rng: np.random.Generator, wanted: int) -> Transitions:
+    """Exactly ``wanted`` transitions that pass the source's filter."""
+    drawn = wanted
+    for _ in range(MAX_DOUBLINGS):
+        data = collect(
+            task, source.policy, rng, drawn, starts=source.starts, max_steps=source.max_steps
+        )
+        data = keep_before_violation(data, source.keep)
+        if len(data) >= wanted:
+            return data.take(np.arange(wanted))
+        drawn *= 2
+    raise ValueError(
+        f"{task.name}: of {drawn // 2:,} transitions only {len(data):,} lie within "
+        f"{source.keep} steps before a violation; {wanted:,} are wanted"
+    )

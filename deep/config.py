@@ -1,0 +1,192 @@
+"""What a run is: configurations that are resolved to plain numbers and written as JSON."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from deep.collect import (
+    Source,
+    collect_mix,
+    corner_policy,
+    random_policy,
+    towards_obstacle_policy,
+    uniform_starts,
+)
+from deep.data import Transitions
+from deep.pretrain import (
+    SETTINGS,
+    DeaRrlAnnealedSettings,
+    DearrlIqlSettings,
+    DeaRrlSettings,
+    RrlMsdpSettings,
+    RrlSettings,
+    method_name,
+)
+from deep.tasks import Task
+from deep.thresholds import discount_from_horizon, low_threshold, paper_threshold
+
+__all__ = ["MethodChoice", "Mix", "PretrainConfig", "config_from_json", "config_to_json", "resolve"]
+
+MethodChoice = (
+    Annotated[DeaRrlAnnealedSettings, tyro.conf.subcommand("dea-rrl-annealed")]
+    | Annotated[DeaRrlSettings, tyro.conf.subcommand("dea-rrl")]
+    | Annotated[DearrlIqlSettings, tyro.conf.subcommand("dearrl-iql")]
+    | Annotated[RrlSettings, tyro.conf.subcommand("rrl")]
+    | Annotated[RrlMsdpSettings, tyro.conf.subcommand("rrl-msdp")]
+)
+
+
+@dataclass(frozen=True)
+class Mix:
+    """Where offline data come from; the shares sum to 1.
+
+    Attributes:
+        transitions: how many are kept.
+        random: share of uniform actions.
+        corners: share of actions at the ends of their range.
+        adversary: share of actions that head for the nearest obstacle.
+        keep: only so many steps before each violation; None: all.
+        anywhere: start episodes all over the task's box instead of at its own starts.
+        max_steps: cut episodes off there; None: at the task's time limit.
+    """
+
+    transitions: int = 40_000
+    random: float = 0.5
+    corners: float = 0.5
+    adversary: float = 0.0
+    keep: int | None = 100
+    anywhere: bool = False
+    max_steps: int | None = None
+
+    def collect(self, task: Task, rng: np.random.Generator) -> Transitions:
+        """Draw the data."""
+        starts = uniform_starts(task) if self.anywhere else None
+        shares = (
+            (random_policy(task), self.random),
+            (corner_policy(task), self.corners),
+            (towards_obstacle_policy(task), self.adversary),
+        )
+        sources = [
+            Source(policy, share, starts, self.keep, self.max_steps)
+            for policy, share in shares
+            if share != 0
+        ]
+        return collect_mix(task, sources, rng, self.transitions)
+
+
+@dataclass(frozen=True)
+class PretrainConfig:
+    """One run of Algorithm 1.
+
+    Attributes:
+        task: the name of a task, from which every seed collects its own data.
+        data: a file of transitions for all seeds, instead of a task.
+        method: the form of Algorithm 1, with its settings.
+        seeds: one critic and recovery policy each, trained side by side.
+        updates: minibatch updates.
+        mix: of the data that are collected.
+        horizon: H, the most steps from a dead-end to the violation; None: the task's own,
+            where it has an exact answer.
+        gamma_safe: None: H / (H + 1) for dea-rrl-annealed, the settings' for the others.
+        threshold: None: gamma_safe^H / 4 for dea-rrl-annealed, gamma_safe^(H + 1/2) for
+            the others.
+        device: cpu or cuda.
+        log_every: updates between two rows of progress.csv.
+        checkpoint_every: updates between two checkpoints.
+    """
+
+    task: str | None = None
+    data: Path | None = None
+    method: MethodChoice = field(default_factory=DeaRrlAnnealedSettings)
+    seeds: tuple[int, ...] = (0,)
+    updates: int = 4000
+    mix: Mix = field(default_factory=Mix)
+    horizon: int | None = None
+    gamma_safe: float | None = None
+    threshold: float | None = None
+    device: str = "cpu"
+    log_every: int = 250
+    checkpoint_every: int = 500
+
+    def __post_init__(self) -> None:
+        if (self.task is None) == (self.data is None):
+            raise ValueError("give either a task or a data file")
+        for name in ("updates", "log_every", "checkpoint_every"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}")
+
+
+def resolve(config: PretrainConfig, horizon: int | None) -> PretrainConfig:
+    """The same run with every number filled in; ``horizon`` is the task's, if known.
+
+    Raises:
+        ValueError: if the discount or the threshold needs a horizon and there is none.
+    """
+    horizon = config.horizon if config.horizon is not None else horizon
+    annealed = isinstance(config.method, DeaRrlAnnealedSettings)
+    gamma, threshold = config.gamma_safe, config.threshold
+    if horizon is None and (threshold is None or (annealed and gamma is None)):
+        raise ValueError(
+            "give the horizon (the most steps from a dead-end to the violation), "
+            "or both gamma_safe and threshold"
+        )
+    if gamma is None:
+        assert horizon is not None or not annealed
+        gamma = discount_from_horizon(horizon or 0) if annealed else config.method.gamma_safe
+    if threshold is None:
+        assert horizon is not None
+        rule = low_threshold if annealed else paper_threshold
+        threshold = rule(gamma, horizon)
+    return replace(
+        config,
+        horizon=horizon,
+        gamma_safe=gamma,
+        threshold=threshold,
+        method=replace(config.method, gamma_safe=gamma),
+    )
+
+
+def config_to_json(config: PretrainConfig) -> dict[str, Any]:
+    """Plain values; the method by its name and settings."""
+    plain = asdict(config)
+    plain["data"] = None if config.data is None else str(config.data)
+    plain["method"] = {"name": method_name(config.method), **plain["method"]}
+    return plain
+
+
+def config_from_json(plain: dict[str, Any]) -> PretrainConfig:
+    """What :func:`config_to_json` wrote.
+
+    Raises:
+        ValueError: if an entry is missing or unknown.
+    """
+    try:
+        settings = dict(plain["method"])
+        kind = SETTINGS[settings.pop("name")]
+        data = plain["data"]
+        return PretrainConfig(
+            **(
+                plain
+                | {
+                    "method": _dataclass(kind, settings),
+                    "mix": _dataclass(Mix, plain["mix"]),
+                    "seeds": tuple(plain["seeds"]),
+                    "data": None if data is None else Path(data),
+                }
+            )
+        )
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"not the configuration of a run: {error}") from error
+
+
+def _dataclass(kind: type[Any], plain: dict[str, Any]) -> Any:
+    """An instance whose tuples came back from JSON as lists."""
+    names = {f.name for f in fields(kind)}
+    if set(plain) != names:
+        raise TypeError(f"{kind.__name__}: expected the entries {sorted(names)}")
+    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in plain.items()})

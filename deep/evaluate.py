@@ -1,0 +1,219 @@
+"""Scores of a safety filter against the exact answer: its boundary, and its closed loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deep.collect import Policy
+from deep.correction import SafetyFilter
+from deep.exact_answers import ExactAnswer, oracle_blocks
+from deep.tasks import Task
+from deep.tasks.task import Bools, Floats
+
+__all__ = [
+    "BoundaryScore",
+    "ClosedLoop",
+    "Gate",
+    "LearnedGate",
+    "OracleGate",
+    "Points",
+    "action_grid",
+    "box_points",
+    "closed_loop",
+    "critic_table",
+    "safe_starts",
+    "score_boundary",
+]
+
+Actions: TypeAlias = NDArray[np.floating]
+
+
+class Gate(Protocol):
+    """A critic, and the correction that it leads to, in terms of true states."""
+
+    def critic(self, state: Floats, action: Actions) -> NDArray[np.floating]:
+        """Q_c, (n,)."""
+
+    def correct(self, state: Floats, action: Actions) -> tuple[Actions, Bools]:
+        """The executed actions (n, a), and where they are not the agent's (n,)."""
+
+
+@dataclass(frozen=True)
+class LearnedGate:
+    """A learned filter, which sees observations only."""
+
+    task: Task
+    safety: SafetyFilter
+
+    def critic(self, state: Floats, action: Actions) -> NDArray[np.floating]:
+        """Q_c by the networks."""
+        return self.safety.q(self.task.observe(state), action.astype(np.float32))
+
+    def correct(self, state: Floats, action: Actions) -> tuple[Actions, Bools]:
+        """Equation (behavior_correction)."""
+        correction = self.safety.correct(self.task.observe(state), action.astype(np.float32))
+        return correction.executed, correction.intervened
+
+
+@dataclass(frozen=True)
+class OracleGate:
+    """The limit of every filter: it knows the exact labels. Its critic is 0 or 1."""
+
+    answer: ExactAnswer
+
+    def critic(self, state: Floats, action: Actions) -> NDArray[np.floating]:
+        """1 for actions that leave the safe set."""
+        return oracle_blocks(self.answer, state, action).astype(np.float32)
+
+    def correct(self, state: Floats, action: Actions) -> tuple[Actions, Bools]:
+        """Replace exactly the unsafe actions, by the safest one."""
+        blocked = oracle_blocks(self.answer, state, action)
+        safest = self.answer.task.safest_action(state)
+        return np.where(blocked[:, None], safest, action), blocked
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """States to score on, and what is true of them; fixed before anything is trained.
+
+    Attributes:
+        state: float (N, d), uniform over the task's box, violations left out.
+        dead: bool (N,).
+        near: bool (N,), within the stated distance of the boundary.
+        action: float (A, a), the grid of actions.
+        unsafe: bool (N, A), whether the action leads to a dead state or a violation.
+    """
+
+    state: Floats
+    dead: Bools
+    near: Bools
+    action: Floats
+    unsafe: Bools
+
+
+def action_grid(action_dim: int, count: int) -> Floats:
+    """float (count ** a, a): a dense grid over [-1, 1]^a with its ends."""
+    axis = np.linspace(-1, 1, count)
+    axes = np.meshgrid(*(axis,) * action_dim, indexing="ij")
+    return np.stack(axes, axis=-1).reshape(-1, action_dim)
+
+
+def box_points(
+    answer: ExactAnswer, count: int, actions: int, near: float, rng: np.random.Generator
+) -> Points:
+    """Uniform points of the task's box; ``near`` is a share of its first side."""
+    task = answer.task
+    state = rng.uniform(task.low, task.high, (count, len(task.low)))
+    state = state[answer.dead(state) | answer.safe(state)]
+    action = action_grid(task.action_dim, actions)
+    unsafe = [
+        oracle_blocks(answer, state, np.broadcast_to(a, (len(state), len(a)))) for a in action
+    ]
+    width = near * (task.high[0] - task.low[0])
+    return Points(
+        state,
+        answer.dead(state),
+        answer.boundary_distance(state) <= width,
+        action,
+        np.stack(unsafe, axis=1),
+    )
+
+
+def critic_table(gate: Gate, points: Points) -> NDArray[np.float32]:
+    """float32 (N, A): Q_c of every point and action of the grid."""
+    columns = [
+        gate.critic(points.state, np.broadcast_to(a, (len(points.state), len(a))))
+        for a in points.action
+    ]
+    return np.stack(columns, axis=1).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class BoundaryScore:
+    """Shares in [0, 1]; a state is called dead iff its least Q_c reaches the threshold.
+
+    Attributes:
+        dead_called_safe, safe_called_dead: over the box.
+        near_dead_called_safe, near_safe_called_dead: near the boundary.
+        safe_actions_blocked: of the actions that lead from safe states to safe states.
+        unsafe_actions_allowed: of the actions that lead out of safe states.
+    """
+
+    dead_called_safe: float
+    safe_called_dead: float
+    near_dead_called_safe: float
+    near_safe_called_dead: float
+    safe_actions_blocked: float
+    unsafe_actions_allowed: float
+
+
+def score_boundary(table: NDArray[np.float32], threshold: float, points: Points) -> BoundaryScore:
+    """The scores of a critic's table (N, A) at a threshold."""
+    over: Bools = np.greater_equal(table, np.float32(threshold))
+    called: Bools = np.all(over, axis=1, keepdims=True)[:, 0]
+    dead, near = points.dead, points.near
+    blocked, unsafe = over[~dead], points.unsafe[~dead]
+    return BoundaryScore(
+        dead_called_safe=_share(~called[dead]),
+        safe_called_dead=_share(called[~dead]),
+        near_dead_called_safe=_share(~called[dead & near]),
+        near_safe_called_dead=_share(called[~dead & near]),
+        safe_actions_blocked=_share(blocked[~unsafe]),
+        unsafe_actions_allowed=_share(~blocked[unsafe]),
+    )
+
+
+def _share(mask: Bools) -> float:
+    return float(mask.mean()) if mask.size else 0.0
+
+
+def safe_starts(answer: ExactAnswer, count: int, rng: np.random.Generator) -> Floats:
+    """``count`` of the task's own starts that are safe."""
+    found: list[Floats] = []
+    while sum(map(len, found)) < count:
+        state = answer.task.reset(rng, count)
+        found.append(state[answer.safe(state)])
+    return np.concatenate(found)[:count]
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """Whole episodes of a task policy behind a gate.
+
+    Attributes:
+        episodes: how many.
+        failures: how many ended in a violation.
+        interventions: share of the steps at which the action was replaced.
+        mean_return: of the episodes' rewards, undiscounted.
+    """
+
+    episodes: int
+    failures: int
+    interventions: float
+    mean_return: float
+
+
+def closed_loop(
+    task: Task, gate: Gate | None, policy: Policy, starts: Floats, rng: np.random.Generator
+) -> ClosedLoop:
+    """One episode from each start, to its end; without a gate the policy acts freely."""
+    state = starts.copy()
+    steps = interventions = failures = 0
+    total = 0.0
+    for _ in range(task.time_limit):
+        action = np.clip(policy(task.observe(state), state, rng), -1, 1)
+        if gate is not None:
+            action, intervened = gate.correct(state, action)
+            interventions += int(intervened.sum())
+        step = task.step(state, action, rng)
+        steps += len(state)
+        total += float(step.reward.sum())
+        failures += int(step.violation.sum())
+        state = step.next_state[~(step.violation | step.success)]
+        if not len(state):
+            break
+    return ClosedLoop(len(starts), failures, interventions / steps, total / len(starts))

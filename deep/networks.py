@@ -1,0 +1,180 @@
+"""Small networks for K seeds at once: one batched matrix product a layer.
+
+Every tensor carries a leading seed axis K. The seeds share nothing: each has its own
+weights, initialised from its own number, and its own loss, so that seed k of a batch
+learns what the same seed learns alone (up to the rounding of a batched product). Layers
+are Xavier-uniform with zero biases, as in the authors' code.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+__all__ = ["BatchedMLP", "Critic", "GaussianPolicy", "StateValue", "copy_slowly"]
+
+LOG_STD_RANGE = (-20.0, 2.0)
+
+
+class BatchedMLP(nn.Module):
+    """K independent perceptrons with ReLU between their layers.
+
+    Attributes:
+        weights: one (K, in, out) a layer.
+        biases: one (K, 1, out) a layer.
+    """
+
+    def __init__(self, sizes: Sequence[int], generators: Sequence[np.random.Generator]) -> None:
+        super().__init__()
+        self.sizes = tuple(sizes)
+        pairs = list(pairwise(sizes))
+        self.weights = nn.ParameterList(_xavier(a, b, generators) for a, b in pairs)
+        self.biases = nn.ParameterList(
+            nn.Parameter(torch.zeros(len(generators), 1, b)) for _, b in pairs
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(K, B, in) -> (K, B, out)."""
+        last = len(self.weights) - 1
+        for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            x = torch.baddbmm(bias, x, weight)
+            if layer < last:
+                x = torch.relu(x)
+        return x
+
+
+def _xavier(inputs: int, outputs: int, generators: Sequence[np.random.Generator]) -> nn.Parameter:
+    bound = math.sqrt(6 / (inputs + outputs))
+    drawn = [generator.uniform(-bound, bound, (inputs, outputs)) for generator in generators]
+    return nn.Parameter(torch.tensor(np.stack(drawn), dtype=torch.float32))
+
+
+def _generators(seeds: Sequence[int], network: str, members: int) -> Iterator[np.random.Generator]:
+    """One generator a seed and member, independent of which other seeds are in the batch."""
+    salt = int.from_bytes(network.encode(), "big")
+    for seed in seeds:
+        for member in range(members):
+            yield np.random.default_rng((seed, salt, member))
+
+
+class Critic(nn.Module):
+    """Q_c(s, a) of K seeds, each with an ensemble of ``members`` networks (twins: 2).
+
+    The output is a logit; its sigmoid is the critic, a discounted probability of failing.
+    """
+
+    def __init__(
+        self,
+        seeds: Sequence[int],
+        observation_dim: int,
+        action_dim: int,
+        hidden: Sequence[int],
+        members: int = 2,
+    ) -> None:
+        super().__init__()
+        self.members = members
+        generators = list(_generators(seeds, "critic", members))
+        self.mlp = BatchedMLP([observation_dim + action_dim, *hidden, 1], generators)
+
+    def logits(self, observation: Tensor, action: Tensor) -> Tensor:
+        """(K, B, o) and (K, B, a) -> (K, members, B)."""
+        x = torch.cat([observation, action], dim=-1)
+        repeated = x.repeat_interleave(self.members, dim=0)
+        output: Tensor = self.mlp(repeated)
+        return output.view(len(x), self.members, -1)
+
+    def forward(self, observation: Tensor, action: Tensor) -> Tensor:
+        """The values (K, members, B), in (0, 1)."""
+        return torch.sigmoid(self.logits(observation, action))
+
+    def worst(self, observation: Tensor, action: Tensor) -> Tensor:
+        """(K, B): the most pessimistic member, which the gate uses."""
+        return torch.sigmoid(self.logits(observation, action).amax(dim=1))
+
+
+class StateValue(nn.Module):
+    """V_c(s) of K seeds, in (0, 1)."""
+
+    def __init__(self, seeds: Sequence[int], observation_dim: int, hidden: Sequence[int]) -> None:
+        super().__init__()
+        generators = list(_generators(seeds, "value", 1))
+        self.mlp = BatchedMLP([observation_dim, *hidden, 1], generators)
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """(K, B, o) -> (K, B)."""
+        output: Tensor = self.mlp(observation)
+        return torch.sigmoid(output.squeeze(-1))
+
+
+class GaussianPolicy(nn.Module):
+    """A recovery policy of K seeds: tanh of a Gaussian, executed as ``reach * tanh(mean)``.
+
+    ``reach`` = 1 is the usual squashing, which only tends to the ends of the action
+    range. With ``reach`` > 1 what lies outside [-1, 1] is cut off, so that full braking
+    can be executed exactly.
+    """
+
+    def __init__(
+        self,
+        seeds: Sequence[int],
+        observation_dim: int,
+        action_dim: int,
+        hidden: Sequence[int],
+        reach: float = 1.0,
+    ) -> None:
+        super().__init__()
+        if reach < 1:
+            raise ValueError(f"reach must be at least 1, not {reach}")
+        self.reach = reach
+        self.action_dim = action_dim
+        generators = list(_generators(seeds, "policy", 1))
+        self.mlp = BatchedMLP([observation_dim, *hidden, 2 * action_dim], generators)
+
+    def distribution(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and log standard deviation before the squashing, each (K, B, a)."""
+        mean, log_std = self.mlp(observation).split(self.action_dim, dim=-1)
+        return mean, log_std.clamp(*LOG_STD_RANGE)
+
+    def sample(self, observation: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
+        """Actions (K, B, a) from unit ``noise`` of that shape, and log pi (K, B)."""
+        mean, log_std = self.distribution(observation)
+        raw = mean + noise * log_std.exp()
+        log_prob = _gaussian_log_prob(raw, mean, log_std) - _log_tanh_slope(raw)
+        return self._squash(raw), log_prob.sum(dim=-1)
+
+    def log_prob(self, observation: Tensor, action: Tensor) -> Tensor:
+        """log pi(a|s), (K, B), of actions in [-1, 1] (density of the plain tanh-Gaussian)."""
+        mean, log_std = self.distribution(observation)
+        raw = torch.atanh(action.clamp(-1 + 1e-4, 1 - 1e-4))
+        return (_gaussian_log_prob(raw, mean, log_std) - _log_tanh_slope(raw)).sum(dim=-1)
+
+    def mean_action(self, observation: Tensor) -> Tensor:
+        """(K, B, a): what behavior correction executes."""
+        mean, _ = self.distribution(observation)
+        return self._squash(mean)
+
+    def _squash(self, raw: Tensor) -> Tensor:
+        squashed = torch.tanh(raw)
+        return squashed if self.reach == 1 else (self.reach * squashed).clamp(-1, 1)
+
+
+def _gaussian_log_prob(raw: Tensor, mean: Tensor, log_std: Tensor) -> Tensor:
+    scaled = (raw - mean) * torch.exp(-log_std)
+    return -0.5 * scaled**2 - log_std - 0.5 * math.log(2 * math.pi)
+
+
+def _log_tanh_slope(raw: Tensor) -> Tensor:
+    """log(1 - tanh(x)^2), stable for large |x|."""
+    return 2 * (math.log(2) - raw - nn.functional.softplus(-2 * raw))
+
+
+@torch.no_grad()
+def copy_slowly(source: nn.Module, target: nn.Module, share: float) -> None:
+    """Polyak averaging: target <- (1 - share) target + share source; share 1 copies."""
+    for new, old in zip(source.parameters(), target.parameters(), strict=True):
+        old.lerp_(new, share)

@@ -1,0 +1,216 @@
+"""Scores: the oracle is perfect, hand-made critics get the scores that follow by hand."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from deep.collect import random_policy, towards_obstacle_policy
+from deep.compare import CompareConfig, compare, interval, summary_table
+from deep.demo import DemoConfig, demo
+from deep.evaluate import (
+    LearnedGate,
+    OracleGate,
+    action_grid,
+    box_points,
+    closed_loop,
+    critic_table,
+    safe_starts,
+    score_boundary,
+)
+from deep.exact_answers import (
+    ExactAnswer,
+    exact_answer,
+    oracle_blocks,
+    tabular_brake_dead,
+    tabular_double_integrator,
+)
+from deep.plots import sweep_figure
+from deep.sweep import SweepScore, _runs
+from deep.tasks import Brake, DoubleIntegrator, make_task
+
+
+def _load(name: str) -> ModuleType:
+    """Test helpers beside this file (test modules are not a package)."""
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).parent / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+filters = _load("filters")
+TASKS = (Brake(), DoubleIntegrator())
+
+
+def answers() -> list[ExactAnswer]:
+    return [exact_answer(task) for task in TASKS]
+
+
+@pytest.mark.parametrize(
+    "task", [Brake(), Brake(max_distance=40.0, max_speed=9.0, acceleration=1.0)], ids=repr
+)
+def test_the_brakes_closed_form_is_the_tabular_answer(task: Brake) -> None:
+    states, dead = tabular_brake_dead(task)
+    assert dead.sum() > 30
+    assert np.array_equal(task.dead(states), dead)
+    with pytest.raises(ValueError, match="are not integers"):
+        tabular_brake_dead(Brake(acceleration=1.5))
+
+
+def test_the_double_integrators_closed_form_lies_in_the_tabular_brackets() -> None:
+    task = DoubleIntegrator()
+    corners, width, inner, outer = tabular_double_integrator(task, 4)
+    box = np.abs(corners[:, 1] + width[1] / 2) < task.max_speed
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        points = corners + width * rng.random(corners.shape)
+        dead = task.dead(points)
+        assert not dead[inner & box].any()
+        assert dead[~outer & box].all()
+    assert (inner & box).sum() > 0.95 * (outer & box).sum()  # the brackets are narrow
+    with pytest.raises(ValueError, match="the gap is 22.2222 units"):
+        tabular_double_integrator(DoubleIntegrator(dt=0.3), 2)
+
+
+def test_tasks_without_an_exact_answer_are_refused() -> None:
+    with pytest.raises(ValueError, match="point: there is no exact answer"):
+        exact_answer(make_task("point"))
+
+
+@pytest.mark.parametrize("answer", answers(), ids=lambda a: a.task.name)
+def test_the_oracle_is_exact_and_never_fails(answer: ExactAnswer) -> None:
+    rng = np.random.default_rng(0)
+    points = box_points(answer, 2000, 33, 0.05, rng)
+    gate = OracleGate(answer)
+    score = score_boundary(critic_table(gate, points), 1.0, points)
+    assert score.dead_called_safe == score.near_dead_called_safe == 0
+    assert score.safe_actions_blocked == score.unsafe_actions_allowed == 0
+    # Safe states whose safe actions all lie between those of the grid: a thin sliver.
+    assert score.safe_called_dead < 0.01
+    starts = safe_starts(answer, 1000, rng)
+    for policy in (random_policy(answer.task), towards_obstacle_policy(answer.task)):
+        assert closed_loop(answer.task, gate, policy, starts, rng).failures == 0
+        assert closed_loop(answer.task, None, policy, starts, rng).failures > 500
+
+
+def test_the_oracle_blocks_what_leaves_the_safe_set() -> None:
+    answer = exact_answer(Brake())
+    state = np.array([[20.0, 8.0], [20.0, 8.0], [12.5, 8.0]])
+    action = np.array([[-1.0], [1.0], [0.0]])
+    # Full speed from 20 leaves 12 at speed 8: exactly the stopping distance, dead.
+    assert oracle_blocks(answer, state, action).tolist() == [False, True, True]
+
+
+def test_points_are_labelled_and_fixed() -> None:
+    answer = exact_answer(Brake())
+    points = box_points(answer, 500, 5, 0.05, np.random.default_rng(1))
+    assert np.array_equal(points.dead, answer.dead(points.state))
+    assert (points.unsafe[points.dead]).all()
+    assert not points.unsafe[~points.dead].all(axis=1).all()
+    distance = answer.boundary_distance(points.state)
+    assert np.array_equal(points.near, distance <= 1.5)
+    again = box_points(answer, 500, 5, 0.05, np.random.default_rng(1))
+    assert np.array_equal(points.state, again.state)
+
+
+def test_a_critic_of_distance_is_scored_as_by_hand() -> None:
+    answer = exact_answer(Brake())
+    points = box_points(answer, 4000, 5, 0.05, np.random.default_rng(1))
+    # Q >= 1/2 iff the scaled distance is at most 0, distance <= 15, whatever the action.
+    gate = LearnedGate(Brake(), filters.linear_filter([-50.0, 0.0], 0.0, 0.0, -20.0))
+    score = score_boundary(critic_table(gate, points), 0.5, points)
+    assert score.dead_called_safe == 0  # the longest stopping distance is 12
+    near = points.state[:, 0] <= 15
+    assert score.safe_called_dead == (near & ~points.dead).sum() / (~points.dead).sum()
+    allowed = points.unsafe[~points.dead & ~near].sum() / points.unsafe[~points.dead].sum()
+    assert score.unsafe_actions_allowed == pytest.approx(allowed)
+    # Full braking from more than 15 never fails, and that is what the filter does at 15.
+    rng = np.random.default_rng(0)
+    starts = np.array([[29.0, 8.0], [16.0, 2.0]])
+    loop = closed_loop(Brake(), gate, random_policy(Brake()), starts, rng)
+    assert (loop.episodes, loop.failures) == (2, 0)
+    assert 0 < loop.interventions < 1
+
+
+def test_an_empty_share_is_zero() -> None:
+    answer = exact_answer(Brake())
+    points = box_points(answer, 200, 3, 0.0, np.random.default_rng(0))
+    score = score_boundary(np.zeros((len(points.state), 3), dtype=np.float32), 0.5, points)
+    assert score.near_dead_called_safe == 0
+    assert score.dead_called_safe == 1
+
+
+def test_action_grids_are_dense_and_hold_the_ends() -> None:
+    assert action_grid(1, 3)[:, 0].tolist() == [-1, 0, 1]
+    grid = action_grid(2, 3)
+    assert grid.shape == (9, 2)
+    assert grid.min() == -1
+    assert len(np.unique(grid, axis=0)) == 9
+
+
+def test_intervals_hold_the_mean_and_shrink_to_it() -> None:
+    spread = interval([0.0, 1.0, 0.0, 1.0])
+    assert spread.low < spread.mean == 0.5 < spread.high
+    same = interval([0.25] * 5)
+    assert same.low == same.mean == same.high == 0.25
+
+
+def test_compare_trains_scores_and_draws_every_method(tmp_path: Path) -> None:
+    config = CompareConfig(
+        task="double-integrator",
+        out=tmp_path / "run",
+        seeds=(0, 1),
+        updates=3,
+        points=300,
+        actions=3,
+        episodes=20,
+        task_policy_steps=256,
+    )
+    scores = compare(config, quiet=True)
+    assert {score.method for score in scores} == {
+        "oracle", "dea-rrl-annealed", "dea-rrl", "dearrl-iql", "rrl", "rrl-msdp"
+    }  # fmt: skip
+    assert len(scores) == 1 + 5 * 2 * 2
+    with (tmp_path / "run" / "scores.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(scores)
+    assert float(rows[0]["adversarial_failures"]) == 0
+    assert (tmp_path / "run" / "boundary.png").stat().st_size > 10_000
+    table = (tmp_path / "run" / "summary.md").read_text()
+    assert table == summary_table(scores)
+    assert "| oracle | exact labels = 1.000 | 0.00 [0.00, 0.00] |" in table
+    with pytest.raises(ValueError, match="holds a comparison with another configuration"):
+        compare(replace(config, points=301), quiet=True)
+
+
+def test_the_demo_draws_both_tasks(tmp_path: Path) -> None:
+    scores = demo(DemoConfig(tmp_path / "demo", (0,), 5, 300), quiet=True)
+    assert set(scores) == {"brake", "double-integrator"}
+    assert (tmp_path / "demo" / "demo.png").stat().st_size > 10_000
+
+
+def test_a_sweep_varies_one_thing_at_a_time() -> None:
+    from deep.sweep import SweepConfig
+
+    answer = exact_answer(Brake())
+    runs = _runs(SweepConfig("brake", Path("unused")), answer)
+    recipe = [run for name, value, run in runs if (name, value) == ("gamma_safe", 0.75)]
+    assert len(recipe) == 1
+    for name, value, run in runs:
+        if name == "last expectile":
+            assert run.method.final_expectile == value  # type: ignore[union-attr]  # annealed
+        if name == "share of corner actions":
+            assert (run.mix.corners, run.mix.random) == (value, 1 - value)
+    figure = sweep_figure("brake", [SweepScore("gamma_safe", 0.5, 0, 0.0, 0.1)])
+    assert isinstance(figure, Figure)

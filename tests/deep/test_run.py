@@ -1,0 +1,354 @@
+"""Runs: resumable at any moment with the same result, and honest about what went wrong."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from deep.__main__ import main
+from deep.checkpoint import load_checkpoint, save_checkpoint
+from deep.config import Mix, PretrainConfig, config_from_json, config_to_json, resolve
+from deep.correction import SafetyFilter
+from deep.data import Transitions
+from deep.formats import read_hdf5, write_hdf5
+from deep.pretrain import (
+    SETTINGS,
+    DeaRrlAnnealedSettings,
+    DeaRrlSettings,
+    RrlMsdpSettings,
+    Sizes,
+    build_learner,
+)
+from deep.pretrain.health import Status, check_critics, check_losses
+from deep.pretrain.learner import Losses
+from deep.run import normalisation_of, pretrain, read_run
+from deep.tasks import Brake
+from deep.thresholds import discount_from_horizon, low_threshold, paper_threshold
+
+SMALL = {"hidden": (8,), "batch_size": 16}
+TINY = PretrainConfig(
+    task="brake",
+    method=DeaRrlAnnealedSettings(**SMALL),
+    seeds=(0, 3),
+    updates=40,
+    mix=Mix(transitions=400),
+    log_every=10,
+    checkpoint_every=15,
+)
+
+
+def filter_bytes(folder: Path) -> list[bytes]:
+    return [path.read_bytes() for path in sorted((folder / "filters").iterdir())]
+
+
+def progress(folder: Path) -> list[dict[str, str]]:
+    with (folder / "progress.csv").open() as file:
+        return [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(file)]
+
+
+def test_a_run_leaves_everything_that_is_needed(tmp_path: Path) -> None:
+    result = pretrain(TINY, tmp_path / "run", quiet=True)
+    config = json.loads((tmp_path / "run" / "config.json").read_text())
+    assert config["run"]["gamma_safe"] == 0.75
+    assert config["run"]["threshold"] == 0.75**3 / 4
+    assert config["run"]["horizon"] == 3
+    assert config["run"]["method"]["name"] == "dea-rrl-annealed"
+    assert {"numpy", "torch", "python", "git"} <= set(config["made with"])
+    rows = progress(tmp_path / "run")
+    assert [(row["update"], row["seed"]) for row in rows] == [
+        (str(update), seed) for update in (10, 20, 30, 40) for seed in ("0", "3")
+    ]
+    assert read_run(tmp_path / "run") == resolve(TINY, 3)
+    loaded = SafetyFilter.load(tmp_path / "run" / "filters" / "seed3.safetensors")
+    assert loaded.threshold == result.filters[1].threshold == 0.75**3 / 4
+    assert [health.seed for health in result.health] == [0, 3]
+
+
+def test_a_finished_run_is_not_trained_again(tmp_path: Path) -> None:
+    pretrain(TINY, tmp_path / "run", quiet=True)
+    before = filter_bytes(tmp_path / "run")
+    stamp = (tmp_path / "run" / "checkpoint.safetensors").stat().st_mtime_ns
+    pretrain(TINY, tmp_path / "run", quiet=True)
+    assert filter_bytes(tmp_path / "run") == before
+    assert (tmp_path / "run" / "checkpoint.safetensors").stat().st_mtime_ns == stamp
+
+
+def test_another_run_in_the_same_folder_is_refused(tmp_path: Path) -> None:
+    pretrain(TINY, tmp_path / "run", quiet=True)
+    with pytest.raises(ValueError, match="holds a run with another configuration"):
+        pretrain(replace(TINY, updates=41), tmp_path / "run", quiet=True)
+    with pytest.raises(ValueError, match="there is no run here"):
+        read_run(tmp_path)
+
+
+@pytest.mark.parametrize("method", SETTINGS)
+def test_checkpoints_hold_the_whole_state(method: str, tmp_path: Path) -> None:
+    config = replace(TINY, method=SETTINGS[method](**SMALL))
+    pretrain(config, tmp_path / "whole", quiet=True)
+    # The same run, stopped after 15 updates: its checkpoint, and a half-written log.
+    learner = build_learner(resolve(config, 3).method, Sizes(2, 1), config.seeds)
+    stopped = tmp_path / "stopped"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("deep.run.save_checkpoint", _stop_after_saving)
+        with pytest.raises(_Stopped):
+            pretrain(config, stopped, quiet=True)
+    assert load_checkpoint(learner, stopped / "checkpoint.safetensors") == 15
+    with (stopped / "progress.csv").open("a") as file:
+        file.write("20,0,0.1,0.1,0.1,0.1,9\n20,3,0.")
+    pretrain(config, stopped, quiet=True)
+    assert filter_bytes(stopped) == filter_bytes(tmp_path / "whole")
+    assert progress(stopped) == progress(tmp_path / "whole")
+
+
+class _Stopped(Exception):
+    pass
+
+
+def _stop_after_saving(*arguments: object) -> None:
+    save_checkpoint(*arguments)  # type: ignore[arg-type]  # passed through
+    raise _Stopped
+
+
+COMMAND = [
+    *(sys.executable, "-m", "deep", "pretrain", "--task", "brake", "--seeds", "0", "3"),
+    *("--updates", "600", "--checkpoint-every", "7", "--log-every", "50"),
+    *("--mix.transitions", "400", "method:dea-rrl-annealed"),
+    *("--method.hidden", "8", "--method.batch-size", "16"),
+]
+FROM_COMMAND = replace(TINY, updates=600, checkpoint_every=7, log_every=50)
+
+
+def start(folder: Path) -> subprocess.Popen[str]:
+    """The command, from the moment on at which it has written a further checkpoint."""
+    checkpoint = folder / "checkpoint.safetensors"
+    before = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+    process = subprocess.Popen(
+        [*COMMAND[:4], "--out", str(folder), *COMMAND[4:]],
+        cwd=Path(__file__).parents[2],
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+    )
+    while not (checkpoint.exists() and checkpoint.stat().st_mtime_ns > before):
+        assert process.poll() is None, process.communicate()[1]
+        time.sleep(0.002)
+    return process
+
+
+def test_a_run_that_is_killed_and_interrupted_ends_as_if_nothing_had_happened(
+    tmp_path: Path,
+) -> None:
+    pretrain(FROM_COMMAND, tmp_path / "whole", quiet=True)
+    folder = tmp_path / "killed"
+    process = start(folder)
+    process.kill()
+    process.communicate()
+    process = start(folder)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate()
+    assert process.returncode == 130, errors
+    assert "deep: interrupted; the same command goes on from here" in errors
+    rows = progress(folder)
+    assert 0 < int(rows[-1]["update"]) < 600  # saved where it was, and not finished
+    pretrain(FROM_COMMAND, folder, quiet=True)
+    assert filter_bytes(folder) == filter_bytes(tmp_path / "whole")
+    logged = [row for row in progress(folder) if int(row["update"]) % 50 == 0]
+    assert logged == progress(tmp_path / "whole")
+
+
+def test_a_loss_that_is_no_number_stops_the_run_and_keeps_the_checkpoint(tmp_path: Path) -> None:
+    config = replace(TINY, updates=30, checkpoint_every=5)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("deep.run.save_checkpoint", _stop_after_saving)
+        with pytest.raises(_Stopped):
+            pretrain(config, tmp_path / "run", quiet=True)
+    path = tmp_path / "run" / "checkpoint.safetensors"
+    learner = build_learner(resolve(config, 3).method, Sizes(2, 1), config.seeds)
+    load_checkpoint(learner, path)
+    with torch.no_grad():
+        learner.critic.mlp.weights[0][-1] = torch.nan  # a network of seed 3
+    save_checkpoint(learner, 5, path)
+    broken = path.read_bytes()
+    with pytest.raises(FloatingPointError, match="update 10: the critic loss of seed 3 is nan"):
+        pretrain(config, tmp_path / "run", quiet=True)
+    assert path.read_bytes() == broken
+
+
+def test_broken_checkpoints_are_refused(tmp_path: Path) -> None:
+    learner = build_learner(DeaRrlSettings(**SMALL), Sizes(2, 1), (0,))
+    path = tmp_path / "checkpoint.safetensors"
+    path.write_text("no")
+    with pytest.raises(ValueError, match="not a checkpoint of this run"):
+        load_checkpoint(learner, path)
+    save_checkpoint(build_learner(RrlMsdpSettings(**SMALL), Sizes(2, 1), (0,)), 3, path)
+    with pytest.raises(ValueError, match="not a checkpoint of this run"):
+        load_checkpoint(learner, path)
+
+
+def test_diverged_and_saturated_critics_are_reported() -> None:
+    from deep.batches import Batches
+    from deep.collect import collect, random_policy
+
+    data = collect(Brake(), random_policy(Brake()), np.random.default_rng(0), 300)
+    learner = build_learner(DeaRrlAnnealedSettings(), Sizes(2, 1), (0, 1, 2, 3))
+    with torch.no_grad():
+        for k, bias in ((1, -50.0), (2, 50.0), (3, torch.nan)):
+            learner.critic.mlp.biases[-1][3 * k : 3 * k + 3] = bias
+    health = check_critics(
+        learner, Batches([data], learner.seeds, 64, None, torch.device("cpu")).get(0)
+    )
+    assert [h.status for h in health] == [
+        Status.SOUND,
+        Status.ALL_ZERO,
+        Status.ALL_ONE,
+        Status.DIVERGED,
+    ]
+    assert str(health[1]).startswith("seed 1: saturated: it calls everything safe (Q from ")
+    losses = Losses(torch.zeros(4), torch.tensor([0.0, torch.inf, 0, 0]), torch.zeros(4))
+    with pytest.raises(FloatingPointError, match="update 7: the value loss of seed 1 is inf"):
+        check_losses(learner, losses, 7)
+
+
+def test_configurations_survive_json_and_resolve_by_the_horizon() -> None:
+    for kind in SETTINGS.values():
+        config = replace(TINY, method=kind(**SMALL))
+        assert config_from_json(json.loads(json.dumps(config_to_json(config)))) == config
+    annealed = resolve(TINY, 5)
+    assert annealed.gamma_safe == annealed.method.gamma_safe == 5 / 6
+    assert annealed.threshold == low_threshold(5 / 6, 5) == (5 / 6) ** 5 / 4
+    paper = resolve(replace(TINY, method=DeaRrlSettings()), 5)
+    assert paper.gamma_safe == 0.99
+    assert paper.threshold == paper_threshold(0.99, 5) == 0.99**5.5
+    given = resolve(replace(TINY, gamma_safe=0.9, threshold=0.2), None)
+    assert (given.gamma_safe, given.threshold, given.horizon) == (0.9, 0.2, None)
+    assert resolve(replace(TINY, horizon=2), 5).horizon == 2
+    with pytest.raises(ValueError, match="give the horizon"):
+        resolve(replace(TINY, threshold=0.2), None)
+    with pytest.raises(ValueError, match="not the configuration of a run"):
+        config_from_json({"method": {"name": "sac"}})
+
+
+def test_the_discount_from_the_horizon_leaves_the_largest_residual() -> None:
+    for horizon in (1, 3, 10):
+        gammas = np.linspace(0.01, 0.99, 9_801)
+        best = gammas[np.argmax((1 - gammas) * gammas**horizon)]
+        assert discount_from_horizon(horizon) == pytest.approx(best, abs=2e-4)
+    assert discount_from_horizon(0) == 0.5
+    with pytest.raises(ValueError, match="horizon must not be negative"):
+        discount_from_horizon(-1)
+
+
+BAD_SETTINGS = {
+    "expectile must lie in": lambda: DeaRrlSettings(expectile=1.0),
+    "gamma_safe must lie in": lambda: DeaRrlSettings(gamma_safe=1.1),
+    "batch_size must be positive": lambda: DeaRrlSettings(batch_size=0),
+    "entropy_weight must not be negative": lambda: DeaRrlSettings(entropy_weight=-1.0),
+    "violation_share must lie in": lambda: DeaRrlSettings(violation_share=2.0),
+    "final_expectile must lie in": lambda: DeaRrlAnnealedSettings(final_expectile=0.0),
+    "either a task or a data file": PretrainConfig,
+    "updates must be at least 1": lambda: replace(TINY, updates=0),
+    "seeds must be distinct": lambda: build_learner(DeaRrlSettings(), Sizes(2, 1), (1, 1)),
+}
+
+
+@pytest.mark.parametrize("message", BAD_SETTINGS)
+def test_bad_settings_are_refused(message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        BAD_SETTINGS[message]()
+
+
+def test_the_schedules_of_the_recipe() -> None:
+    settings = DeaRrlAnnealedSettings(first_expectile=0.4, final_expectile=0.1, anneal=0.5)
+    assert [settings.expectile(p) for p in (0.0, 0.25, 0.5, 0.9)] == pytest.approx(
+        [0.4, 0.2, 0.1, 0.1]
+    )
+    assert settings.rate(0.3) == settings.learning_rate
+    assert settings.rate(1.0) == pytest.approx(settings.learning_rate * settings.final_rate)
+
+
+def scaled(data: Transitions) -> Transitions:
+    """The same in other units."""
+    return replace(
+        data,
+        observations=data.observations * 7 + 3,
+        next_observations=data.next_observations * 7 + 3,
+        actions=data.actions * 4 - 1,
+    )
+
+
+def test_data_from_a_file_are_normalised_and_their_change_is_noticed(tmp_path: Path) -> None:
+    assert (
+        main(
+            [
+                "collect",
+                "--task",
+                "brake",
+                "--out",
+                str(tmp_path / "d.hdf5"),
+                "--transitions",
+                "400",
+            ]
+        )
+        == 0
+    )
+    data = scaled(read_hdf5(tmp_path / "d.hdf5"))
+    write_hdf5(data, tmp_path / "d.hdf5")
+    units = normalisation_of(data)
+    assert units.action_centre == pytest.approx([-1.0], abs=0.05)
+    assert units.action_scale == pytest.approx([4.0], abs=0.05)
+    config = replace(TINY, task=None, data=tmp_path / "d.hdf5", horizon=3)
+    safety = pretrain(config, tmp_path / "run", quiet=True).filters[0]
+    assert safety.normalisation == units
+    assert -5.05 <= safety.recovery_action(data.observations).min()
+    write_hdf5(scaled(data), tmp_path / "d.hdf5")
+    with pytest.raises(ValueError, match="the data have changed since the run began"):
+        read_run(tmp_path / "run")
+    with pytest.raises(ValueError, match="the data have changed since the run began"):
+        pretrain(config, tmp_path / "run", quiet=True)
+
+
+def test_the_command_line_says_what_is_wrong_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["pretrain", "--out", str(tmp_path / "x"), "--task", "bike"]) == 2
+    assert capsys.readouterr().err.startswith("deep: there is no task 'bike'; there are brake, ")
+    assert (
+        main(
+            [
+                "pretrain",
+                "--out",
+                str(tmp_path / "x"),
+                "--data",
+                str(tmp_path / "no.hdf5"),
+                "--horizon",
+                "3",
+            ]
+        )
+        == 2
+    )
+    assert "no.hdf5: there is no such file" in capsys.readouterr().err
+    assert main(["compare", "--out", str(tmp_path / "y"), "--task", "dubins"]) == 2
+    assert "dubins: there is no exact answer" in capsys.readouterr().err
+
+
+def test_pretraining_from_the_command_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = [*COMMAND[3:4], "--out", str(tmp_path / "run"), *COMMAND[4:]]
+    arguments[arguments.index("600")] = "20"
+    assert main(arguments) == 0
+    printed = capsys.readouterr().out
+    assert "seed0.safetensors: seed 0: sound" in printed
+    assert SafetyFilter.load(tmp_path / "run" / "filters" / "seed0.safetensors").seed == 0
