@@ -301,6 +301,13 @@ def test_more_refusals() -> None:
     as_risk = changed(changed(certificate, "labels", 0, AT_RISK), "escape", 0, 1)
     with pytest.raises(CertificateError, match="state 0: its action does not escape"):
         check_certificate(risky, changed(as_risk, "action", 0, 0))
+    P = np.array([[[0, 1, 0, 0]], [[0, 0, 0.5, 0.5]], [[0, 0, 1, 0]], [[0, 0, 0, 1.0]]])
+    hopeful = SafeMDP.stochastic(P, np.array([False, False, True, False]))
+    certificate = certify(hopeful)
+    assert certificate.labels.tolist() == [AT_RISK, AT_RISK, FAIL, SAFE]
+    as_dead = changed(changed(certificate, "labels", 0, DEAD), "escape", 0, 0)
+    with pytest.raises(CertificateError, match="state 0: labelled dead, with a successor that is"):
+        check_certificate(hopeful, changed(as_dead, "action", 0, -1))
     for name in COLUMNS:
         with pytest.raises(CertificateError, match=f"{name}: 3 integers are needed"):
             check_certificate(risky, replace(certify(risky), **{name: np.zeros(2, dtype=int)}))

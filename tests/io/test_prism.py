@@ -109,6 +109,14 @@ def test_which_states_fail(tmp_path: Path) -> None:
         load_model(path, fail_if="r > 0")
 
 
+def test_a_state_that_leaves_is_not_terminal_whatever_its_label(tmp_path: Path) -> None:
+    tra = "3 4\n0 1 1\n1 1 1\n2 1 0.5\n2 2 0.5\n"
+    lab = '0="fail" 1="terminal"\n1: 0\n0: 1\n2: 1\n'
+    model = load_prism(write(tmp_path, tra, lab, None))
+    assert not model.terminal.any()
+    assert classify(model).dead.tolist() == [True, False, True]
+
+
 TABLE = np.array([[0, 1], [2, 2], [0, 0], [3, -1], [-1, 4]])
 ENDS: dict[str, Any] = {
     "fail": np.array([False, False, True, False, False]),

@@ -45,6 +45,12 @@ def test_a_goal_that_only_ends_becomes_terminal() -> None:
     assert model.next_state[:2].tolist() == [[1, 0], [2, 0]]
 
 
+def test_a_goal_that_loops_is_a_goal() -> None:
+    """Tables often keep the agent at the goal, as if the episode went on there."""
+    rows = [(0, 0, 1, 1.0, 1, True), (1, 0, 1, 1.0, 0, False)]
+    assert build_model(listed(rows, 2)).terminal.tolist() == [False, True]
+
+
 @pytest.mark.parametrize(
     "changed",
     [
