@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import dead_ends.cli.source
+import dead_ends.cli
 from dead_ends import __version__
 from dead_ends.__main__ import main
 from dead_ends.io import load_model
@@ -54,6 +54,14 @@ def fails(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(capsys, "--version") == (0, f"dead-ends {__version__}\n", "")
+
+
+def test_every_command_is_there(capsys: pytest.CaptureFixture[str]) -> None:
+    folder = Path(dead_ends.cli.__file__).parent
+    modules = {path.stem for path in folder.glob("*.py")} - {"__init__", "source"}
+    assert set(dead_ends.cli.COMMANDS) == modules
+    _, out, _ = run(capsys, "--help")
+    assert all(f"\n    {command} " in out for command in modules)
 
 
 def test_label_says_the_numbers(capsys: pytest.CaptureFixture[str], corridor: str) -> None:
