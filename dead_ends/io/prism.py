@@ -149,9 +149,12 @@ def _read_labels(tokens: Tokens, num_states: int) -> dict[str, Mask]:
     numbers = _label_numbers(tokens, int(lines[0]))
     lines, first = lines[1:], first[1:]
     counts = tokens.counts[lines]
-    colon = tokens.finals(first) == ord(":")
-    if not colon.all():
-        raise tokens.error(int(lines[np.argmin(colon)]), "expected 'state: label label ...'")
+    good = (tokens.finals(first) == ord(":")) & (counts > 1)
+    if not good.all():
+        raise tokens.error(int(lines[np.argmin(good)]), "expected 'state: label label ...'")
+    # The file announces no size, and a lost label may be a lost failure.
+    if not tokens.ended:
+        raise tokens.error(len(tokens.counts) - 1, "the line has no end; is the file truncated?")
     states = read_states(tokens, first, num_states, trim=1)
     before = np.concatenate(([0], np.cumsum(counts - 1)))  # how many members earlier lines have
     members = np.arange(before[-1]) + np.repeat(first + 1 - before[:-1], counts - 1)

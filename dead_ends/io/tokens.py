@@ -51,6 +51,11 @@ class Tokens:
         _find(self._data, self._start, self._stop, self.first)
         self.counts: Integers = np.diff(self.first)
 
+    @property
+    def ended(self) -> bool:
+        """Whether the last line has its end."""
+        return len(self._data) > 0 and self._data[-1] == ord("\n")
+
     def lines_of(self, tokens: Integers) -> Integers:
         """The line (from 0) of each token."""
         return np.searchsorted(self.first, tokens, side="right") - 1

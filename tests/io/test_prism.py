@@ -219,6 +219,8 @@ def test_bad_transitions(old: str, new: str, message: str, tmp_path: Path) -> No
         ("1: 2", "9: 2", r"line 3: state 9 does not exist \(0 to 3\)"),
         ("1: 2", "1 2", "line 3: expected 'state: label label ...'"),
         ("1: 2", "x: 2", "line 3: 'x:' is not a state"),
+        ("1: 2", "1:", "line 3: expected 'state: label label ...'"),
+        ("1: 2\n", "1: 2", "line 3: the line has no end; is the file truncated?"),
         (LAB, "", "the file is empty"),
     ],
 )
