@@ -39,7 +39,7 @@ __all__ = ["qualitative_labels"]
 Indices = NDArray[np.int32]
 Mask = NDArray[np.bool_]
 Offsets = NDArray[Any]
-"""int32 or int64: where each row of a sparse kernel starts."""
+"""int32 or int64: row numbers of a sparse kernel, or where its rows start."""
 
 
 def qualitative_labels(model: SafeMDP) -> NDArray[np.uint8]:
@@ -50,7 +50,10 @@ def qualitative_labels(model: SafeMDP) -> NDArray[np.uint8]:
         AT_RISK elsewhere.
     """
     kernel = model.transitions()
-    starts, choices = _predecessors(kernel.indices, kernel.indptr, model.num_states)
+    # Half the memory for all but the largest models, whose choices need eight bytes.
+    width = np.int32 if kernel.shape[0] <= np.iinfo(np.int32).max else np.int64
+    choices = np.empty(kernel.nnz, dtype=width)
+    starts = _predecessors(kernel.indices, kernel.indptr, model.num_states, choices)
     available = np.diff(kernel.indptr) > 0
     p_min_zero = _p_min_zero(starts, choices, available, model.num_actions, model.fail)
     p_min_below_one = _reaching(starts, choices, p_min_zero, model.num_actions)
@@ -63,28 +66,30 @@ def qualitative_labels(model: SafeMDP) -> NDArray[np.uint8]:
 
 @compiled
 def _predecessors(
-    indices: Indices, indptr: Offsets, num_states: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The choices (rows s*A + a) that may lead to state t: choices[starts[t]:starts[t + 1]]."""
+    indices: Indices, indptr: Offsets, num_states: int, choices: Offsets
+) -> NDArray[np.int64]:
+    """Fill ``choices``: choices[starts[t]:starts[t + 1]] are the rows s*A + a that may lead to t.
+
+    Returns ``starts``.
+    """
     starts = np.zeros(num_states + 1, dtype=np.int64)
     for successor in indices:
         starts[successor + 1] += 1
     for state in range(num_states):
         starts[state + 1] += starts[state]
     free = starts[:-1].copy()
-    choices = np.empty(len(indices), dtype=np.int64)
     for choice in range(len(indptr) - 1):
         for place in range(indptr[choice], indptr[choice + 1]):
             successor = indices[place]
             choices[free[successor]] = choice
             free[successor] += 1
-    return starts, choices
+    return starts
 
 
 @compiled
 def _p_min_zero(
     starts: NDArray[np.int64],
-    choices: NDArray[np.int64],
+    choices: Offsets,
     available: Mask,
     num_actions: int,
     fail: Mask,
@@ -92,11 +97,11 @@ def _p_min_zero(
     """bool (S,): Z, by removing fail, then choices that may leave Z, then states without any."""
     num_states = len(fail)
     remaining = available.copy()
-    left = np.zeros(num_states, dtype=np.int64)
+    left = np.zeros(num_states, dtype=np.int32)
     for choice in range(len(available)):
         left[choice // num_actions] += available[choice]
     inside = ~fail
-    stack = np.empty(num_states, dtype=np.int64)
+    stack = np.empty(num_states, dtype=np.int32)
     size = 0
     for state in range(num_states):
         if fail[state]:
@@ -109,7 +114,7 @@ def _p_min_zero(
             choice = choices[place]
             if remaining[choice]:
                 remaining[choice] = False
-                state = choice // num_actions
+                state = int(choice) // num_actions
                 left[state] -= 1
                 if left[state] == 0:
                     inside[state] = False
@@ -119,12 +124,10 @@ def _p_min_zero(
 
 
 @compiled
-def _reaching(
-    starts: NDArray[np.int64], choices: NDArray[np.int64], target: Mask, num_actions: int
-) -> Mask:
+def _reaching(starts: NDArray[np.int64], choices: Offsets, target: Mask, num_actions: int) -> Mask:
     """bool (S,): the states with a path to the target; fail states have no successors."""
     reaching = target.copy()
-    stack = np.empty(len(target), dtype=np.int64)
+    stack = np.empty(len(target), dtype=np.int32)
     size = 0
     for state in range(len(target)):
         if target[state]:
@@ -134,7 +137,7 @@ def _reaching(
         size -= 1
         reached = stack[size]
         for place in range(starts[reached], starts[reached + 1]):
-            state = choices[place] // num_actions
+            state = int(choices[place]) // num_actions
             if not reaching[state]:
                 reaching[state] = True
                 stack[size] = state
