@@ -21,7 +21,7 @@ __version__ = "0.1.0"
 
 _NAMES = {
     "bellman": ("evaluate_policy", "value_iteration"),
-    "certificate": ("certify",),
+    "certificate": ("certify", "load_certificate", "save_certificate"),
     "checker": ("check_certificate",),
     "conventions": ("CriticConvention", "ValueConvention"),
     "correction": ("behavior_correction", "corrected_model"),
@@ -35,7 +35,7 @@ _NAMES = {
         "Explanation",
         "explain",
     ),
-    "io": ("load_model",),
+    "io": ("load_model", "save_model"),
     "io.filter_table": ("FilterTable", "load_filter", "save_filter"),
     "labels": ("classify", "safe_actions"),
     "methods": (
@@ -67,6 +67,8 @@ if TYPE_CHECKING:
     from dead_ends.bellman import evaluate_policy as evaluate_policy
     from dead_ends.bellman import value_iteration as value_iteration
     from dead_ends.certificate import certify as certify
+    from dead_ends.certificate import load_certificate as load_certificate
+    from dead_ends.certificate import save_certificate as save_certificate
     from dead_ends.checker import check_certificate as check_certificate
     from dead_ends.conventions import CriticConvention as CriticConvention
     from dead_ends.conventions import ValueConvention as ValueConvention
@@ -79,6 +81,7 @@ if TYPE_CHECKING:
     from dead_ends.explanation import Explanation as Explanation
     from dead_ends.explanation import explain as explain
     from dead_ends.io import load_model as load_model
+    from dead_ends.io import save_model as save_model
     from dead_ends.io.filter_table import FilterTable as FilterTable
     from dead_ends.io.filter_table import load_filter as load_filter
     from dead_ends.io.filter_table import save_filter as save_filter
