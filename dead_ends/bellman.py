@@ -87,7 +87,7 @@ def value_iteration(
     settings = Settings.read(gamma_safe, value, critic, exact, tolerance, max_iterations)
     if model.is_deterministic:
         return from_times(model, survival_times(model), settings)
-    known = known_states(model, model.transitions(), settings)
+    known = known_states(model, settings)
     if settings.exact:
         return from_equations(model, known, best_action, settings)
     kernel, available = model.transitions(), model.available
@@ -131,7 +131,7 @@ def evaluate_policy(
         return _evaluate_exact(model, exact_distribution(model, checked), settings)
     distribution = as_distribution(checked, model.num_actions).astype(np.float64)
     chain = policy_kernel(model, distribution)
-    known = known_states(model, chain, settings)
+    known = known_states(graph_model(model, chain), settings)
     always = np.ones((model.num_states, 1), dtype=np.bool_)
     operator = least(chain, always, known, settings, merged=model.num_actions + 2)
     return from_operator(model, known, operator, settings)
@@ -149,7 +149,7 @@ def _evaluate_exact(
     model: SafeMDP, distribution: NDArray[np.object_], settings: Settings
 ) -> Values:
     chain = policy_kernel(model, np.asarray(distribution > 0, dtype=np.float64))
-    known = known_states(model, chain, settings)
+    known = known_states(graph_model(model, chain), settings)
 
     def choose(state: int, q: Mapping[int, Fraction]) -> dict[int, Fraction]:
         return {action: p for action in q if (p := distribution[state, action])}
@@ -175,17 +175,20 @@ def policy_kernel(model: SafeMDP, distribution: NDArray[Any]) -> Csr:
     return sparse.csr_array(mixing @ model.transitions())
 
 
-def known_states(model: SafeMDP, kernel: Csr, settings: Settings) -> Known:
-    """The states whose value is 0 or 1 by the graph of a kernel with any number of actions."""
-    labels = qualitative_labels(_graph(model, kernel))
+def known_states(model: SafeMDP, settings: Settings) -> Known:
+    """The states whose least value the graph decides to be 0 or 1."""
+    labels = qualitative_labels(model)
     one = model.fail
     if settings.gamma == 1:
         one = one | (labels == Label.DEAD)
     return Known(zero=np.equal(labels, Label.SAFE), one=one)
 
 
-def _graph(model: SafeMDP, kernel: Csr) -> SafeMDP:
-    """A model with the kernel's graph (its probabilities may be rounded sums: not checked)."""
+def graph_model(model: SafeMDP, kernel: Csr) -> SafeMDP:
+    """A model with the graph of another kernel (S * A', S) on the same states.
+
+    The kernel's probabilities may be rounded sums; they are not taken over.
+    """
     counts = np.diff(kernel.indptr)
     uniform = pattern(kernel)
     uniform.data = np.repeat(1.0 / np.maximum(counts, 1), counts)

@@ -32,6 +32,7 @@ from scipy import sparse
 from dead_ends.bellman import (
     best_action,
     evaluate_policy,
+    graph_model,
     known_states,
     least,
     policy_kernel,
@@ -103,7 +104,7 @@ def expectile_iteration(
     if expectile == 0:
         return _least_on_support(model, np.asarray(distribution > 0, dtype=np.bool_), settings)
     chain = policy_kernel(model, np.asarray(distribution > 0, dtype=np.float64))
-    known = known_states(model, chain, settings)
+    known = known_states(graph_model(model, chain), settings)
     if settings.exact:
         tau = Fraction(str(expectile))
         return _exactly(model, known, exact_distribution(model, checked), tau, settings)
@@ -121,7 +122,7 @@ def _least_on_support(model: SafeMDP, support: NDArray[np.bool_], settings: Sett
     kept = sparse.diags_array(support.ravel().astype(np.float64))
     kernel = sparse.csr_array(kept @ model.transitions())
     kernel.eliminate_zeros()
-    known = known_states(model, kernel, settings)
+    known = known_states(graph_model(model, kernel), settings)
     if not settings.exact:
         return from_operator(model, known, least(kernel, support, known, settings), settings)
 

@@ -26,8 +26,8 @@ Csc = sparse.csc_array[np.float64]
 
 SMALL = 2000
 """Up to so many unknowns elimination takes no time."""
-ELIMINATION_COST = 1e11
-"""Beyond, it is used if a banded one would need no more multiplications than this."""
+ELIMINATION_COST = 1e10
+"""Beyond, it is used if an envelope method would need no more multiplications than this."""
 REFINEMENTS = 8
 
 
@@ -91,11 +91,15 @@ def _krylov(matrix: Csr, constant: Float, start: Float) -> Float | None:
 
 
 def _elimination_cost(matrix: Csr) -> float:
-    """Multiplications of a banded elimination, an upper estimate for a good sparse one."""
-    graph = sparse.csr_array(matrix + matrix.T)
+    """Multiplications of an envelope method, an upper estimate for a good sparse one.
+
+    The sum of the squared widths of the rows, after numbering the graph breadth-first
+    (reverse Cuthill-McKee).
+    """
+    graph = sparse.csr_array(matrix + matrix.T + sparse.eye_array(matrix.shape[0]))
     order = csgraph.reverse_cuthill_mckee(graph, symmetric_mode=True)
     place = np.empty(len(order), dtype=np.int64)
     place[order] = np.arange(len(order))
-    rows = np.repeat(place, np.diff(graph.indptr))
-    bandwidth = float(np.max(rows - place[graph.indices], initial=0))
-    return len(order) * bandwidth**2
+    first = np.minimum.reduceat(place[graph.indices], graph.indptr[:-1])
+    widths = (place - first).astype(np.float64)
+    return float(widths @ widths)
