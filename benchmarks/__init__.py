@@ -1,0 +1,1 @@
+"""Side-by-side runs against other tools; not part of the package or of the tests."""
