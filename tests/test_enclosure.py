@@ -102,8 +102,8 @@ def test_wrong_guesses_do_no_harm(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(4)
     solve = linear._eliminated
 
-    def wrong(matrix: linear.Csr, constant: linear.Float) -> linear.Float | None:
-        x = solve(matrix, constant)
+    def wrong(matrix: linear.Csr, c: linear.Float, order: linear.Order) -> linear.Float | None:
+        x = solve(matrix, c, order)
         return None if x is None else x * rng.uniform(0.5, 1.5, len(x))
 
     monkeypatch.setattr(linear, "_eliminated", wrong)
