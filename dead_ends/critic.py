@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dead_ends.conventions import CriticConvention, ValueConvention
 from dead_ends.discount import Discount, Powers, power_table, read_discount
-from dead_ends.enclosure import Enclosure, MonotoneOperator, enclose
+from dead_ends.enclosure import MonotoneOperator, check_width, enclose
 from dead_ends.exact import Choose, ExactProblem, exact_rows
 from dead_ends.model import SafeMDP
 from dead_ends.results import INFINITE, Values
@@ -195,7 +195,7 @@ def from_operator(
         settings.tolerance,
         settings.max_iterations,
     )
-    _check_width(model, unknown, bounds, settings)
+    check_width(bounds, settings.tolerance, lambda place: model.state_name(unknown[place]))
     entering = tuple(
         _scattered(weights, unknown, x) for x in (bounds.lower, bounds.estimate, bounds.upper)
     )
@@ -204,19 +204,6 @@ def from_operator(
     at_fail = 0.0 if powers.fail is None else float(settings.gamma) ** powers.fail
     w = _discounted(entering, settings, powers.successor, model.fail, at_fail)
     return _values(model, settings, bounds.iterations, V, _critic(model, w))
-
-
-def _check_width(
-    model: SafeMDP, unknown: NDArray[np.int64], bounds: Enclosure, settings: Settings
-) -> None:
-    width = bounds.upper - bounds.lower
-    if len(width) and width.max() > settings.tolerance:
-        worst = int(width.argmax())
-        raise ValueError(
-            f"after {bounds.iterations} sweeps the value of {model.state_name(unknown[worst])} is "
-            f"only known to lie in [{bounds.lower[worst]:.9g}, {bounds.upper[worst]:.9g}]: raise "
-            f"max_iterations or the tolerance ({settings.tolerance:g}), or use exact=True"
-        )
 
 
 def _scattered(known: Float, unknown: NDArray[np.int64], x: Float) -> Float:

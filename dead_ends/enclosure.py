@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from dead_ends.linear import LinearSolver
 from dead_ends.rounding import TINY, Csr, Float
 
-__all__ = ["Enclosure", "MonotoneOperator", "enclose"]
+__all__ = ["Enclosure", "MonotoneOperator", "check_width", "enclose"]
 
 WARM_UP = 20
 SHIFTED_ITERATIONS = 8
@@ -81,7 +81,7 @@ def enclose(
     Args:
         operator: F, with one fixed point between ``lower`` and ``upper``.
         lower, upper: bounds to start from; ``upper`` may be infinite.
-        tolerance: the width that is wanted.
+        tolerance: the width that is wanted (relative where the value is above 1).
         max_iterations: sweeps of value iteration, at most.
 
     Returns:
@@ -99,7 +99,7 @@ def enclose(
         low, high = _verified(operator, guess)
         lower, upper = np.maximum(lower, low), np.minimum(upper, high)
     iterations = warm_up
-    while iterations < max_iterations and _width(lower, upper) > tolerance:
+    while iterations < max_iterations and _widths(lower, upper).max() > tolerance:
         next_lower = np.maximum(lower, operator.lower(lower))
         next_upper = np.minimum(upper, operator.upper(upper))
         iterations += 1
@@ -110,8 +110,25 @@ def enclose(
     return Enclosure(lower, middle, upper, iterations)
 
 
-def _width(lower: Float, upper: Float) -> float:
-    return float(np.max(upper - lower))
+def check_width(bounds: Enclosure, tolerance: float, name: Callable[[int], str]) -> None:
+    """The bounds are within the tolerance.
+
+    Raises:
+        ValueError: with ``name`` of the place where they are farthest apart.
+    """
+    width = _widths(bounds.lower, bounds.upper)
+    if len(width) and not width.max() <= tolerance:
+        worst = int(width.argmax())
+        raise ValueError(
+            f"after {bounds.iterations} sweeps the value of {name(worst)} is only known to lie in "
+            f"[{bounds.lower[worst]:.9g}, {bounds.upper[worst]:.9g}]: raise max_iterations or the "
+            f"tolerance ({tolerance:g}), or use exact=True"
+        )
+
+
+def _widths(lower: Float, upper: Float) -> Float:
+    """upper - lower, relative where the value is above 1."""
+    return np.asarray((upper - lower) / np.maximum(lower, 1.0))
 
 
 def _guess(operator: MonotoneOperator, x: Float) -> Float | None:
