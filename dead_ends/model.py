@@ -147,7 +147,6 @@ class SafeMDP:
             # Rows of fail and terminal states are not checked: they may not fit int32.
             adopted = np.clip(table, -1, MAX_STATES).astype(np.int32, order="C")
         return cls(
-            next_state=_read_only(adopted),
             kernel=None,
             exact=None,
             fail=fail_mask,
@@ -158,6 +157,8 @@ class SafeMDP:
             state_names=names.states,
             action_names=names.actions,
             geometry=_geometry(geometry, num_states, num_actions),
+            # Marked last: where something is refused, the caller's array stays as it was.
+            next_state=_read_only(adopted),
         )
 
     @classmethod

@@ -27,6 +27,14 @@ def test_an_int32_table_is_adopted_and_marked_read_only() -> None:
         table[0, 0] = 1
 
 
+@pytest.mark.parametrize("wrong", [{"rewards": [1.0]}, {"initial": 7}, {"state_names": ["a"]}])
+def test_a_refused_table_stays_as_it_was(wrong: dict[str, object]) -> None:
+    table = CHAIN.copy()
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        SafeMDP.deterministic(table, FAIL_LAST, **wrong)
+    assert table.flags.writeable
+
+
 def test_a_memory_mapped_table_is_adopted(tmp_path) -> None:
     np.save(tmp_path / "table.npy", CHAIN)
     table = np.load(tmp_path / "table.npy", mmap_mode="r")
