@@ -50,7 +50,8 @@ def behavior_correction(
 
     Returns:
         int (S,) if both policies are; else (S, A), where the probability of the blocked
-        actions has moved to the recovery policy's actions. Fail states have no actions: their
+        actions has moved to the recovery policy's actions: Fractions unless a policy is of
+        floats. Fail states have no actions: their
         rows follow the recovery policy like any blocked row.
 
     Raises:
@@ -65,11 +66,13 @@ def behavior_correction(
         states = np.arange(len(table))
         _check_recovery(~allowed[states, task], rec, table)
         return np.where(allowed[states, task], task, rec)
-    shares, rec_shares = (as_distribution(each, allowed.shape[1]) for each in (task, rec))
+    shares, rec_shares = (_shares(each, allowed.shape[1]) for each in (task, rec))
     passing = np.where(allowed, shares, 0)
     blocked = np.where(allowed, 0, shares).sum(axis=1, keepdims=True)
     _check_recovery(blocked[:, 0] > 0, rec_shares, table)
-    return np.asarray(passing + blocked * rec_shares)
+    executed = np.asarray(passing + blocked * rec_shares)
+    rounded = "f" in (shares.dtype.kind, rec_shares.dtype.kind)
+    return executed.astype(np.float64) if rounded else executed
 
 
 def corrected_model(
@@ -155,6 +158,12 @@ def _recovery_indices(recovery: ArrayLike, model: SafeMDP) -> NDArray[np.integer
             f"0 to {model.num_actions - 1}"
         )
     return rec
+
+
+def _shares(policy: NDArray[Any], num_actions: int) -> NDArray[Any]:
+    """pi(a | s); of an integer policy as integers, so that Fractions beside it stay exact."""
+    shares = as_distribution(policy, num_actions)
+    return shares.astype(np.int64) if policy.ndim == 1 else shares
 
 
 def _check_recovery(needed: NDArray[np.bool_], recovery: NDArray[Any], table: NDArray[Any]) -> None:

@@ -118,6 +118,22 @@ def test_blocked_probability_moves_to_the_recovery_action() -> None:
     assert corrected.tolist() == expected
 
 
+def test_fractions_stay_fractions_beside_an_integer_policy() -> None:
+    Q = np.array([[0.0, 1.0, 1.0]])
+    thirds = fractions([[F(1, 3), F(1, 3), F(1, 3)]])
+    recovered = behavior_correction(thirds, Q, 0.5, np.array([1]))
+    assert recovered.tolist() == [[F(1, 3), F(2, 3), F(0)]]
+    shared = behavior_correction(np.array([2]), Q, 0.5, thirds)
+    assert shared.tolist() == thirds.tolist()
+
+
+def test_fractions_beside_floats_become_floats() -> None:
+    Q = np.array([[0.0, 1.0]])
+    mixed = behavior_correction(fractions([[F(1, 3), F(2, 3)]]), Q, 0.5, np.array([[0.5, 0.5]]))
+    assert mixed.dtype == np.float64
+    assert mixed == pytest.approx(np.array([[2 / 3, 1 / 3]]))
+
+
 def test_a_stochastic_recovery_shares_what_was_blocked() -> None:
     Q = np.array([[0.0, 1.0], [1.0, 0.0]])
     recovery = np.array([[0.75, 0.25], [0.0, 1.0]])
