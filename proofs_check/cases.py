@@ -232,28 +232,36 @@ HALF = Fraction(1, 2)
 SIDE_BY_SIDE = 40
 """Stochastic models in a case: their table in Fractions is dense."""
 
-STOCHASTIC_SIZES = ((2, 1, 4), (2, 2, 4), (3, 1, 4), (3, 2, 2), (4, 1, 2))
-"""(n, m, q): the last state fails, all probabilities are multiples of 1/q."""
+STOCHASTIC_SIZES = (
+    (2, 1, 4, 0),
+    (2, 2, 4, 0),
+    (3, 1, 4, 0),
+    (3, 2, 4, 1),
+    (3, 2, 2, 0),
+    (4, 1, 4, 1),
+)
+"""(n, m, q, g): the last state fails, the g before it are goals, probabilities are k / q."""
 
 
-def stochastic_count(n: int, m: int, q: int) -> int:
-    """Models of a size whose actions are listed in a fixed order: a product of multisets."""
+def stochastic_count(n: int, m: int, q: int, goals: int) -> int:
+    """Models of a size up to the order of a state's actions: multisets of distributions."""
     kinds = len(enumerate_models.distributions(n, q))
     multisets = kinds if m == 1 else kinds * (kinds + 1) // 2
-    return int(multisets ** (n - 1))
+    return int(multisets ** (n - 1 - goals))
 
 
-def stochastic_models(n: int, m: int, q: int) -> Iterator[SafeMDP]:
-    """Every model of a size up to the order of a state's actions."""
+def stochastic_models(n: int, m: int, q: int, goals: int) -> Iterator[SafeMDP]:
+    """Every model of a size up to the order of a state's actions (m <= 2)."""
     parts = enumerate_models.distributions(n, q)
     rows = list(combinations_with_replacement(parts, m))
-    fail = np.arange(n) == n - 1
-    for table in product(rows, repeat=n - 1):
+    position = np.arange(n)
+    terminal = (position >= n - 1 - goals) & (position < n - 1)
+    for table in product(rows, repeat=n - 1 - goals):
         P = np.full((n, m, n), Fraction(0), dtype=object)
         for state, choice in enumerate(table):
             for action, row in enumerate(choice):
                 P[state, action] = [Fraction(part, q) for part in row]
-        yield SafeMDP.stochastic(P, fail)
+        yield SafeMDP.stochastic(P, position == n - 1, terminal=terminal)
 
 
 def together(cases: Sequence[Case]) -> Case:
@@ -265,9 +273,10 @@ def together(cases: Sequence[Case]) -> Case:
         rows = slice(i * n, (i + 1) * n)
         P[rows, :, rows] = exact_table(case.model)
     fail = np.concatenate([case.fail for case in cases])
+    terminal = np.concatenate([case.model.terminal for case in cases])
     return replace(
         first,
-        model=SafeMDP.stochastic(P, fail),
+        model=SafeMDP.stochastic(P, fail, terminal=terminal),
         task=np.concatenate([case.task for case in cases]),
         survival=np.concatenate([case.survival for case in cases]),
         failing=np.concatenate([case.failing for case in cases]),
@@ -289,8 +298,8 @@ def exact_table(model: SafeMDP) -> NDArray[np.object_]:
 def stochastic_cases() -> tuple[Case, ...]:
     """All small stochastic models of the sizes above, gamma = 1/2; task: always action 0."""
     cases = []
-    for n, m, q in STOCHASTIC_SIZES:
-        models = stochastic_models(n, m, q)
+    for n, m, q, goals in STOCHASTIC_SIZES:
+        models = stochastic_models(n, m, q, goals)
         while part := list(islice(models, SIDE_BY_SIDE)):
             task = np.zeros(n, dtype=np.int64)
             cases.append(together([stochastic_case(each, HALF, task) for each in part]))

@@ -89,13 +89,17 @@ def named(case: Case) -> SafeMDP:
         elif case.failing[state] > 0:
             names.append(f"at risk {state}")
         else:
-            names.append(f"safe {state}")
+            names.append(f"goal {state}" if model.terminal[state] else f"safe {state}")
     actions = [f"a{action}" for action in range(model.num_actions)]
     if model.is_deterministic:
         table = np.where(model.fail[:, None], -1, model.successors())
         return SafeMDP.deterministic(table, model.fail, state_names=names, action_names=actions)
     return SafeMDP.stochastic(
-        exact_table(model), model.fail, state_names=names, action_names=actions
+        exact_table(model),
+        model.fail,
+        terminal=model.terminal,
+        state_names=names,
+        action_names=actions,
     )
 
 
@@ -240,6 +244,8 @@ def _draw_edge(
         axes.text(x, y + RADIUS + 0.42 + 0.16 * action, label, ha="center", fontsize=9, color=color)
         return
     bend = 0.12 + 0.16 * action
+    if abs(u - x) > 2.5:  # over the states between, not through them
+        bend = -0.25 - 0.1 * action
     axes.add_patch(
         FancyArrowPatch(
             (x, y),

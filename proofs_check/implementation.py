@@ -21,10 +21,12 @@ from dead_ends.expectile import expectile_iteration
 from dead_ends.labels import classify
 from dead_ends.model import SafeMDP
 from dead_ends.policies import Reading, allowed_actions, greedy_actions, in_policy_set
-from dead_ends.results import Label, Labelling
+from dead_ends.results import INFINITE, Label, Labelling
 from dead_ends.thresholds import ThresholdInterval, threshold_interval
 
 Discount = float | Fraction
+ZERO: Any = Fraction(0)
+ONE: Any = Fraction(1)
 Table = NDArray[Any]
 Tables = tuple[Table, Table]
 """V (S,) and Q (S, A)."""
@@ -48,12 +50,13 @@ class Implementation:
         interval: (model, gamma, value=, critic=) -> the thresholds that are exact.
         correct: behavior correction of a policy.
         corrected: the closed loop as a model.
+        swept: (model, count) -> P_min(fail) by so many sweeps of value iteration from below.
     """
 
     labels: Callable[[SafeMDP], Labelling]
     best: Callable[..., Tables]
     of_policy: Callable[..., Tables]
-    expectile: Callable[[SafeMDP, Table, Fraction, Fraction], Tables]
+    expectile: Callable[[SafeMDP, Table, Fraction, Discount], Tables]
     recovery_critic: Callable[[Table, Table], Table]
     threshold: Callable[[Discount, int], Discount]
     allowed: Callable[[Table, Discount], NDArray[np.bool_]]
@@ -62,6 +65,7 @@ class Implementation:
     interval: Callable[..., ThresholdInterval]
     correct: Callable[[Table, Table, Discount, Table], Table]
     corrected: Callable[[SafeMDP, Table, Discount, Table], SafeMDP]
+    swept: Callable[[SafeMDP, int], Table]
 
 
 def _best(model: SafeMDP, gamma: Discount, **convention: Any) -> Tables:
@@ -74,8 +78,8 @@ def _of_policy(model: SafeMDP, policy: Table, gamma: Discount, **convention: Any
     return V, Q
 
 
-def _expectile(model: SafeMDP, data: Table, tau: Fraction, gamma: Fraction) -> Tables:
-    V, Q = expectile_iteration(model, data, tau, gamma, exact=True)
+def _expectile(model: SafeMDP, data: Table, tau: Fraction, gamma: Discount) -> Tables:
+    V, Q = expectile_iteration(model, data, tau, gamma)
     return V, Q
 
 
@@ -83,6 +87,19 @@ def _member(
     policy: Table, Q: Table, epsilon: Discount, safe: NDArray[np.bool_], reading: Reading
 ) -> bool:
     return in_policy_set(policy, Q, epsilon, safe=safe, reading=reading)
+
+
+def _swept(model: SafeMDP, count: int) -> Table:
+    """min_a E X(s'), ``count`` times from X = 0 off fail; not what the library does."""
+    kernel, data = model.transitions(), model.exact_probabilities()
+    rows = np.repeat(np.arange(kernel.shape[0]), np.diff(kernel.indptr))
+    X = np.where(model.fail, ONE, ZERO)
+    for _ in range(count):
+        expected = np.full(kernel.shape[0], ZERO, dtype=object)
+        np.add.at(expected, rows, np.array(data, dtype=object) * X[kernel.indices])
+        available = np.where(model.available, expected.reshape(model.available.shape), 2)
+        X = np.where(model.fail, ONE, available.min(axis=1))
+    return np.asarray(X)
 
 
 LIBRARY = Implementation(
@@ -98,6 +115,7 @@ LIBRARY = Implementation(
     interval=threshold_interval,
     correct=behavior_correction,
     corrected=corrected_model,
+    swept=_swept,
 )
 
 
@@ -184,6 +202,7 @@ def _some_path_fails(model: SafeMDP) -> Labelling:
 
 EPSILON_TOO_LARGE = replace(LIBRARY, threshold=lambda gamma, exponent: gamma ** (exponent - 1))
 EPSILON_TOO_SMALL = replace(LIBRARY, threshold=lambda gamma, exponent: gamma ** (exponent + 1))
+TINY_EPSILON = replace(LIBRARY, threshold=lambda gamma, exponent: gamma ** (exponent + 20))
 NOTHING_ALLOWED = replace(LIBRARY, threshold=lambda gamma, exponent: 0 * gamma)  # noqa: ARG005
 HORIZON_TOO_SHORT = replace(LIBRARY, labels=lambda model: _later(classify(model), -1))
 HORIZON_TOO_LONG = replace(LIBRARY, labels=lambda model: _later(classify(model), 1))
@@ -245,6 +264,56 @@ GAMMA_HALF = replace(
     LIBRARY,
     best=lambda model, _, **convention: _best(model, 0.5, **convention),
     of_policy=lambda model, policy, _, **convention: _of_policy(model, policy, 0.5, **convention),
+)
+
+
+def _sure_labels(model: SafeMDP) -> Labelling:
+    """Dead only if all paths fail (D_sure in place of D)."""
+    labelling = classify(model)
+    unsure = labelling.dead & (labelling.survival_time == INFINITE)
+    labels = np.where(unsure, Label.AT_RISK, labelling.labels).astype(np.uint8)
+    return replace(labelling, labels=labels)
+
+
+def _zero_values(model: SafeMDP, gamma: Discount, **_: Any) -> Tables:
+    """V = 0 off fail, where value iteration from below starts; Q from one step of it."""
+    V = np.where(model.fail, ONE, ZERO)
+    return V, np.where(model.available, ZERO, np.inf) * gamma
+
+
+def _underestimated(model: SafeMDP, gamma: Discount, **convention: Any) -> Tables:
+    """Two sweeps from below where the undiscounted value is asked for."""
+    V, Q = _best(model, gamma, **convention)
+    return (_swept(model, 2), Q) if gamma == 1 else (V, Q)
+
+
+LABELS_SURE = replace(LIBRARY, labels=_sure_labels)
+ZERO_VALUES = replace(LIBRARY, best=_zero_values)
+UNDERESTIMATED = replace(LIBRARY, best=_underestimated)
+CONVERGED = replace(
+    LIBRARY, swept=lambda model, _: _best(model, Fraction(1), value=ValueConvention.COST_FAIL_1)[0]
+)
+NOTHING_EVER_ALLOWED = replace(
+    LIBRARY,
+    allowed=lambda Q, _: np.zeros(Q.shape, dtype=np.bool_),
+)
+GAMMA_ONE = replace(
+    LIBRARY,
+    best=lambda model, _, **convention: _best(
+        model, Fraction(1), **({"value": ValueConvention.COST_FAIL_1} | convention)
+    ),
+)
+DISCOUNTED_TWICE = replace(
+    LIBRARY,
+    best=lambda model, gamma, **convention: _best(model, gamma * gamma, **convention),
+)
+EXPECTILE_UPSIDE_DOWN = replace(
+    LIBRARY,
+    expectile=lambda model, data, tau, gamma: _expectile(model, data, 1 - tau, gamma),
+)
+EXPECTILE_FROM_BEST = replace(
+    LIBRARY,
+    expectile=lambda model, data, tau, gamma: _best(model, gamma),  # noqa: ARG005
 )
 BEST_IS_OF_LAST_ACTIONS = replace(LIBRARY, best=_of_last_actions)
 BEST_IS_OF_FIRST_ACTIONS = replace(LIBRARY, best=_of_first_actions)

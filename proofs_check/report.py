@@ -232,10 +232,12 @@ def stale(card: Card, complete: bool) -> list[str]:
     rows = parse(README.read_text(encoding="utf-8"))
     differences = []
     for name, statement in card.statements.items():
+        if name not in rows:
+            differences.append(f"{name}: no such row")
+            continue
         for column, cell in escaped(card.cells(statement)).items():
-            there = rows.get(name, {}).get(column, "nothing")
-            if there != cell:
-                differences.append(f"{name}, {column}: found {cell!r}, it says {there!r}")
+            if rows[name][column] != cell:
+                differences.append(f"{name}, {column}: found {cell!r}, not {rows[name][column]!r}")
     if complete:
         differences += [f"{name}: no such statement" for name in rows.keys() - card.statements]
     return differences

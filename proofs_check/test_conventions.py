@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dead_ends.conventions import CriticConvention, ValueConvention
+from dead_ends.conventions import CriticConvention as Critic
+from dead_ends.conventions import ValueConvention as Value
 from dead_ends.statements import boundary_exact
 from proofs_check.cases import Case, Mask, drawn_deterministic, small_cases
 from proofs_check.gates import best, just_above
@@ -25,7 +26,6 @@ from proofs_check.report import Means, Recorder
 from proofs_check.rows import Finding, Row, finding, run
 from proofs_check.suite import exhaustive_test, judge, large_test, sampled_test, teeth_test
 
-Value, Critic = ValueConvention, CriticConvention
 NONE = 99
 """An exponent that no threshold reaches: the interval is empty."""
 

@@ -12,6 +12,7 @@ Notation: ``fail``, ``dead``, ``safe`` are the masks of S_fail, S_dead, S_safe; 
 
 from __future__ import annotations
 
+from decimal import Decimal, localcontext
 from fractions import Fraction
 from typing import Any
 
@@ -146,7 +147,10 @@ def policy_stays(model: SafeMDP, safe: Mask, support: Mask) -> Mask:
 
 def time_bound(V_time: Table, expected_time: Table, gamma: Fraction, dead: Mask) -> Mask:
     """(S,) Stochastic, on dead states: V(s) = min E gamma^T >= gamma^(E_max[T]) (Jensen)."""
-    return _below_power(V_time, expected_time, gamma, dead)
+    bad = np.zeros(dead.shape, dtype=np.bool_)
+    for state in np.flatnonzero(dead):
+        bad[state] = below_power(V_time[state], gamma, Fraction(expected_time[state]))
+    return bad
 
 
 def one_step_bound(
@@ -155,28 +159,41 @@ def one_step_bound(
     """(S, A) Stochastic: P(enter S_dead or S_fail | s, a) <= Q*(s, a) / gamma^H_E.
 
     ``entering`` is that probability, Q* = E V(s') with V = min E gamma^T, and H_E the greatest
-    E_max[T] over the dead states.
+    E_max[T] over the dead states. Looked at where ``at`` is True.
     """
     bad = np.zeros(at.shape, dtype=np.bool_)
     for place in zip(*np.nonzero(at), strict=True):
-        p = entering[place]
-        # p gamma^(a/b) > Q, raised to the power b
-        power = gamma**expected_horizon.numerator
-        bad[place] = p**expected_horizon.denominator * power > (
-            Q_time[place] ** expected_horizon.denominator
-        )
+        if entering[place]:
+            share = Fraction(Q_time[place]) / entering[place]
+            bad[place] = below_power(share, gamma, expected_horizon)
     return bad
+
+
+def below_power(value: Fraction, gamma: Fraction, exponent: Fraction) -> bool:
+    """value < gamma^exponent, decided exactly.
+
+    By logarithms to a hundred digits; where they agree to 80, by value^b < gamma^a for the
+    exponent a/b.
+    """
+    if value <= 0:
+        return True
+    with localcontext() as context:
+        context.prec = 100
+        left = _logarithm(value)
+        right = _decimal(exponent) * _logarithm(gamma)
+        if abs(left - right) > Decimal(10) ** -80 * (1 + abs(right)):
+            return left < right
+    return bool(value**exponent.denominator < gamma**exponent.numerator)
+
+
+def _decimal(number: Fraction) -> Decimal:
+    return Decimal(number.numerator) / Decimal(number.denominator)
+
+
+def _logarithm(number: Fraction) -> Decimal:
+    return _decimal(number).ln()
 
 
 def survival_bound(alive: Table, X: Table, epsilon: Fraction, steps: int) -> Mask:
     """(S,) Stochastic: P(no failure in N steps) >= (1 - X(s)) (1 - epsilon)^N."""
     return np.asarray(alive < (1 - X) * (1 - epsilon) ** steps, dtype=np.bool_)
-
-
-def _below_power(values: Table, exponents: Table, gamma: Fraction, at: Mask) -> Mask:
-    """Where value < gamma^(a/b), decided as value^b < gamma^a."""
-    bad = np.zeros(at.shape, dtype=np.bool_)
-    for place in np.flatnonzero(at):
-        exponent = Fraction(exponents[place])
-        bad[place] = values[place] ** exponent.denominator < gamma**exponent.numerator
-    return bad
