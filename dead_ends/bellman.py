@@ -151,13 +151,13 @@ def _evaluate_exact(
     chain = policy_kernel(model, np.asarray(distribution > 0, dtype=np.float64))
     known = known_states(graph_model(model, chain), settings)
 
-    def choose(state: int, q: Mapping[int, Fraction]) -> dict[int, Fraction]:
+    def choose(state: int, q: Mapping[int, Any]) -> dict[int, Fraction]:
         return {action: p for action in q if (p := distribution[state, action])}
 
     return from_equations(model, known, choose, settings)
 
 
-def best_action(_state: int, q: Mapping[int, Fraction]) -> dict[int, Fraction]:
+def best_action(_state: int, q: Mapping[int, Any]) -> dict[int, Fraction]:
     """All weight on the first of the best actions."""
     return {min(q, key=q.__getitem__): Fraction(1)}
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from fractions import Fraction
 from graphlib import TopologicalSorter
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -27,11 +28,12 @@ __all__ = ["Choose", "ExactProblem", "exact_rows"]
 
 Row = list[tuple[int, Fraction]]
 """P(. | s, a): successors and their probabilities."""
-Choose = Callable[[int, Mapping[int, Fraction]], Mapping[int, Fraction]]
-"""(state, its q) -> the weights m(a), which sum to 1."""
+Choose = Callable[[int, Mapping[int, Any]], Mapping[int, Fraction]]
+"""(state, its q, Fractions or floats) -> the weights m(a), which sum to 1."""
 Equations = dict[int, tuple[Fraction, dict[int, Fraction]]]
 """For each unknown s: x(s) = constant + sum of coefficient * x(s')."""
-ZERO, ONE = Fraction(0), Fraction(1)
+ZERO = Fraction(0)
+SWEEPS = 50
 
 
 def exact_rows(model: SafeMDP) -> list[dict[int, Row]]:
@@ -75,15 +77,36 @@ class ExactProblem:
         self.unknown = [state for state in range(len(rows)) if state not in known]
 
     def solve(self) -> tuple[dict[int, Fraction], int]:
-        """x of the unknown states, and the number of policies evaluated."""
-        values = dict.fromkeys(self.unknown, ZERO)
+        """x of the unknown states, and the number of policies evaluated.
+
+        The first policy is chosen in floats, so that it is often the last.
+        """
+        values = self._approximation()
+        equations = self._equations(values)
         rounds = 0
         while True:
-            improved = _solve_linear(self._equations(values))
+            improved = _solve_linear(equations)
             rounds += 1
-            if improved == values:
-                return values, rounds
-            values = improved
+            following = self._equations(improved)
+            if improved == values or following == equations:
+                return improved, rounds
+            values, equations = improved, following
+
+    def _approximation(self) -> dict[int, Fraction]:
+        """Some sweeps of value iteration in floats."""
+        weights = {state: float(w) for state, w in self.known.items()}
+        weights |= dict.fromkeys(self.unknown, 0.0)
+        rows = [
+            (s, {a: [(t, float(p)) for t, p in row] for a, row in self.rows[s].items()})
+            for s in self.unknown
+        ]
+        gamma, reward = float(self.gamma), float(self.reward)
+        for _ in range(SWEEPS):
+            for state, actions in rows:
+                q = {a: reward + sum(p * weights[t] for t, p in row) for a, row in actions.items()}
+                x = sum(float(m) * q[a] for a, m in self.choose(state, q).items())
+                weights[state] = gamma * x
+        return {state: Fraction(weights[state]) / self.gamma for state in self.unknown}
 
     def q(self, state: int, values: Mapping[int, Fraction]) -> dict[int, Fraction]:
         """q(s, a) of the available actions."""
@@ -140,27 +163,48 @@ def _components(equations: Equations) -> list[list[int]]:
 
 
 def _eliminate(component: list[int], equations: Equations, solved: dict[int, Fraction]) -> None:
-    """Gaussian elimination inside one component; x outside it is already in ``solved``."""
+    """Gaussian elimination inside one component; x outside it is already in ``solved``.
+
+    The next state is the one that fills least: fewest terms times fewest appearances.
+    """
     inside = set(component)
     constants: dict[int, Fraction] = {}
     rows: dict[int, dict[int, Fraction]] = {}
+    appearances: dict[int, set[int]] = {state: set() for state in component}
     for state in component:
         constant, coefficients = equations[state]
         outside = (c * solved[t] for t, c in coefficients.items() if t not in inside)
         constants[state] = constant + sum(outside, ZERO)
         rows[state] = {t: c for t, c in coefficients.items() if t in inside}
-    for i, state in enumerate(component):
-        row = rows[state]
-        scale = 1 / (1 - row.pop(state, ZERO))
-        constants[state] *= scale
-        for t in row:
-            row[t] *= scale
-        for other in component[i + 1 :]:
-            factor = rows[other].pop(state, ZERO)
-            if factor:
-                constants[other] += factor * constants[state]
-                for t, c in row.items():
-                    rows[other][t] = rows[other].get(t, ZERO) + factor * c
-    for state in reversed(component):
+        for t in rows[state]:
+            appearances[t].add(state)
+    order = []
+    while inside:
+        state = min(inside, key=lambda s: (len(rows[s]) * len(appearances[s]), s))
+        inside.remove(state)
+        order.append(state)
+        _substitute(state, constants, rows, appearances)
+    for state in reversed(order):
         later = (c * solved[t] for t, c in rows[state].items())
         solved[state] = constants[state] + sum(later, ZERO)
+
+
+def _substitute(
+    state: int,
+    constants: dict[int, Fraction],
+    rows: dict[int, dict[int, Fraction]],
+    appearances: dict[int, set[int]],
+) -> None:
+    """Solve the state's equation for it and put the result into the others."""
+    row = rows[state]
+    scale = 1 / (1 - row.pop(state, ZERO))
+    constants[state] *= scale
+    for t in row:
+        row[t] *= scale
+        appearances[t].discard(state)
+    for other in appearances[state] - {state}:
+        factor = rows[other].pop(state)
+        constants[other] += factor * constants[state]
+        for t, c in row.items():
+            rows[other][t] = rows[other].get(t, ZERO) + factor * c
+            appearances[t].add(other)

@@ -24,6 +24,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -126,7 +127,7 @@ def _least_on_support(model: SafeMDP, support: NDArray[np.bool_], settings: Sett
     if not settings.exact:
         return from_operator(model, known, least(kernel, support, known, settings), settings)
 
-    def choose(state: int, q: Mapping[int, Fraction]) -> dict[int, Fraction]:
+    def choose(state: int, q: Mapping[int, Any]) -> dict[int, Fraction]:
         return best_action(state, {a: q[a] for a in q if support[state, a]})
 
     return from_equations(model, known, choose, settings)
@@ -139,7 +140,7 @@ def _exactly(
     expectile: Fraction,
     settings: Settings,
 ) -> Values:
-    def choose(state: int, q: Mapping[int, Fraction]) -> dict[int, Fraction]:
+    def choose(state: int, q: Mapping[int, Any]) -> dict[int, Fraction]:
         taken = sorted((a for a in q if data[state, a]), key=q.__getitem__)
         patterns = (
             [

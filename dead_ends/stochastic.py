@@ -160,7 +160,7 @@ def _longest(model: SafeMDP, states: NDArray[np.int64]) -> Optimum:
 
 
 def _exact_times(model: SafeMDP, dead: NDArray[np.bool_]) -> dict[int, Fraction]:
-    def slowest(_state: int, q: Mapping[int, Fraction]) -> dict[int, Fraction]:
+    def slowest(_state: int, q: Mapping[int, Any]) -> dict[int, Fraction]:
         return {max(q, key=q.__getitem__): Fraction(1)}
 
     known = {int(state): Fraction(0) for state in np.flatnonzero(~dead)}
