@@ -10,6 +10,7 @@ from dead_ends.statements.predicates import (
     allowed_inclusion,
     assumption_1,
     bellman_equation,
+    below_power,
     boundary_exact,
     corrected_loop,
     definition_2,
@@ -26,11 +27,15 @@ from dead_ends.statements.predicates import (
     unsafe_allowed,
     unsafe_minimisers,
 )
+from dead_ends.statements.report import Statement, Verification, verify_report
 
 __all__ = [
+    "Statement",
+    "Verification",
     "allowed_inclusion",
     "assumption_1",
     "bellman_equation",
+    "below_power",
     "boundary_exact",
     "corrected_loop",
     "definition_2",
@@ -46,4 +51,5 @@ __all__ = [
     "time_bound",
     "unsafe_allowed",
     "unsafe_minimisers",
+    "verify_report",
 ]

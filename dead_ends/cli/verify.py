@@ -1,0 +1,77 @@
+"""``verify FILE``: which statements of the paper hold on a model, with the numbers."""
+
+from __future__ import annotations
+
+import argparse
+import textwrap
+from typing import TYPE_CHECKING, Any
+
+from dead_ends.cli.source import (
+    add_discount_argument,
+    add_source_arguments,
+    parse_threshold,
+    print_rows,
+    read_source,
+)
+
+if TYPE_CHECKING:
+    from dead_ends.statements import Verification
+
+SUMMARY = "check the paper's statements on a model"
+VERDICTS = {True: "holds", False: "FAILS", None: "open"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_source_arguments(parser)
+    add_discount_argument(parser)
+    parser.add_argument(
+        "--epsilon-safe",
+        metavar="EPSILON",
+        type=parse_threshold,
+        help="the threshold (default: the recommended one)",
+    )
+    parser.add_argument(
+        "--policy",
+        metavar="PATH",
+        help="the task policy, a .npy file: actions (S,) or probabilities (S, A) "
+        "(default: the first available action)",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    model = read_source(arguments)
+
+    from dead_ends.statements import verify_report
+
+    policy = None if arguments.policy is None else _read_policy(arguments.policy)
+    found = verify_report(model, arguments.gamma_safe, arguments.epsilon_safe, policy)
+    print(f"{arguments.file}: {model!r}")
+    print_rows(_rows(found, arguments.policy))
+    for statement in found.statements:
+        print(f"\n{VERDICTS[statement.holds]}  {statement.place}")
+        for text in filter(None, (statement.claim, statement.detail)):
+            print(textwrap.fill(text, 92, initial_indent="       ", subsequent_indent="       "))
+    return 0
+
+
+def _read_policy(path: str) -> Any:
+    import numpy as np
+
+    try:
+        return np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise ValueError(f"{path}: not a policy in NumPy's .npy format: {error}") from None
+
+
+def _rows(found: Verification, policy: str | None) -> list[tuple[str, Any]]:
+    labelling, interval = found.labelling, found.interval
+    upper = float(interval.upper)
+    thresholds = "none" if interval.empty else f"(0, {upper:.6g}{']' if upper < 2 else ')'}"
+    return [
+        ("H", "none" if labelling.horizon is None else labelling.horizon),
+        ("H_b", "none" if labelling.boundary_horizon is None else labelling.boundary_horizon),
+        ("gamma_safe", str(found.gamma_safe)),
+        ("exact thresholds", thresholds),
+        ("epsilon_safe", f"{float(found.epsilon_safe):.6g}"),
+        ("task policy", policy or "the first available action in every state"),
+    ]
