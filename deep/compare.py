@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from dead_ends.io.atomic import atomic_path
 from deep.collect import Policy, random_policy, sb3_policy, towards_obstacle_policy
-from deep.config import PretrainConfig
+from deep.config import Mix, PretrainConfig
 from deep.correction import SafetyFilter
 from deep.evaluate import (
     BoundaryScore,
@@ -54,10 +54,12 @@ class CompareConfig:
     """One comparison.
 
     Attributes:
-        task: brake or double-integrator.
+        task: brake, double-integrator or double-integrator-fine.
         out: the run folder.
+        methods: the forms of Algorithm 1 to train; the oracle always comes along.
         seeds: as many critics and recovery policies a method.
         updates: of every method.
+        transitions: collected for every seed.
         points: on which boundaries are scored, uniform over the task's box.
         actions: of the grid in each action coordinate.
         near: the distance that counts as near the boundary, a share of the box's first side.
@@ -68,14 +70,21 @@ class CompareConfig:
 
     task: str
     out: Path
+    methods: tuple[str, ...] = tuple(SETTINGS)
     seeds: tuple[int, ...] = tuple(range(8))
     updates: int = 4000
+    transitions: int = 40_000
     points: int = 20_000
     actions: int = 33
     near: float = 0.05
     episodes: int = 1250
     task_policy_steps: int = 30_000
     device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        unknown = set(self.methods) - set(SETTINGS)
+        if unknown or not self.methods:
+            raise ValueError(f"methods must be some of {', '.join(SETTINGS)}")
 
 
 @dataclass(frozen=True)
@@ -144,7 +153,7 @@ def compare(config: CompareConfig, *, quiet: bool = False) -> tuple[SeedScore, .
     rng = np.random.default_rng(POINT_STREAM)
     points = box_points(answer, config.points, config.actions, config.near, rng)
     _keep_config(config)
-    filters = {name: _trained(config, name, quiet) for name in SETTINGS}
+    filters = {name: _trained(config, name, quiet) for name in config.methods}
     makers = {
         "random": random_policy(answer.task),
         "adversarial": towards_obstacle_policy(answer.task),
@@ -164,9 +173,9 @@ def compare(config: CompareConfig, *, quiet: bool = False) -> tuple[SeedScore, .
 
 
 def _keep_config(config: CompareConfig) -> None:
-    plain = asdict(config) | {"out": None, "seeds": list(config.seeds)}
+    plain = asdict(config) | {"out": None}
     path = config.out / "compare.json"
-    if path.exists() and json.loads(path.read_text()) != plain:
+    if path.exists() and json.loads(path.read_text()) != json.loads(json.dumps(plain)):
         raise ValueError(f"{config.out} holds a comparison with another configuration")
     config.out.mkdir(parents=True, exist_ok=True)
     with atomic_path(path) as temporary:
@@ -179,6 +188,7 @@ def _trained(config: CompareConfig, method: str, quiet: bool) -> tuple[SafetyFil
         method=SETTINGS[method](),
         seeds=config.seeds,
         updates=config.updates,
+        mix=Mix(transitions=config.transitions),
         device=config.device,
     )
     return pretrain(run, config.out / method, quiet=quiet).filters

@@ -116,6 +116,8 @@ class PretrainConfig:
     def __post_init__(self) -> None:
         if (self.task is None) == (self.data is None):
             raise ValueError("give either a task or a data file")
+        if self.device not in ("cpu", "cuda"):
+            raise ValueError(f"device must be cpu or cuda, not {self.device!r}")
         for name in ("updates", "log_every", "checkpoint_every"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}")

@@ -177,6 +177,8 @@ def pretrain(config: PretrainConfig, folder: Path, *, quiet: bool = False) -> Pr
     config = open_run(config, folder)
     assert config.threshold is not None
     assert config.gamma_safe is not None
+    if config.device == "cuda" and not torch.cuda.is_available():
+        raise ValueError("device cuda: this machine or this build of torch has no CUDA device")
     data, normalisation = _load(config)
     device = torch.device(config.device)
     sizes = Sizes(data[0].observations.shape[1], data[0].actions.shape[1])

@@ -30,9 +30,16 @@ __all__ = [
     "navigation2",
 ]
 
+
+def double_integrator_fine() -> DoubleIntegrator:
+    """The double integrator at half the time step: twice the horizon, 10 steps."""
+    return DoubleIntegrator(dt=0.1)
+
+
 _BUILDERS: dict[str, Callable[[], Task]] = {
     "brake": Brake,
     "double-integrator": DoubleIntegrator,
+    "double-integrator-fine": double_integrator_fine,
     "point": PointAmongDiscs,
     "dubins": Dubins,
     "navigation1": navigation1,

@@ -172,6 +172,7 @@ def test_compare_trains_scores_and_draws_every_method(tmp_path: Path) -> None:
         out=tmp_path / "run",
         seeds=(0, 1),
         updates=3,
+        transitions=300,
         points=300,
         actions=3,
         episodes=20,
@@ -190,6 +191,8 @@ def test_compare_trains_scores_and_draws_every_method(tmp_path: Path) -> None:
     table = (tmp_path / "run" / "summary.md").read_text()
     assert table == summary_table(scores)
     assert "| oracle | exact labels = 1.000 | 0.00 [0.00, 0.00] |" in table
+    with pytest.raises(ValueError, match="methods must be some of dea-rrl-annealed, dea-rrl, "):
+        replace(config, methods=("sac",))
     with pytest.raises(ValueError, match="holds a comparison with another configuration"):
         compare(replace(config, points=301), quiet=True)
 

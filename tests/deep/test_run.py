@@ -259,6 +259,7 @@ BAD_SETTINGS = {
     "final_expectile must lie in": lambda: DeaRrlAnnealedSettings(final_expectile=0.0),
     "either a task or a data file": PretrainConfig,
     "updates must be at least 1": lambda: replace(TINY, updates=0),
+    "device must be cpu or cuda, not 'tpu'": lambda: replace(TINY, device="tpu"),
     "seeds must be distinct": lambda: build_learner(DeaRrlSettings(), Sizes(2, 1), (1, 1)),
 }
 
@@ -267,6 +268,12 @@ BAD_SETTINGS = {
 def test_bad_settings_are_refused(message: str) -> None:
     with pytest.raises(ValueError, match=message):
         BAD_SETTINGS[message]()
+
+
+def test_a_missing_cuda_device_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    with pytest.raises(ValueError, match="device cuda: this machine or this build"):
+        pretrain(replace(TINY, device="cuda"), tmp_path / "run", quiet=True)
 
 
 def test_the_schedules_of_the_recipe() -> None:
