@@ -244,6 +244,31 @@ def test_explain(
     assert expected in out
 
 
+def test_explain_json(capsys: pytest.CaptureFixture[str], corridor: str) -> None:
+    status, out, err = run(capsys, "explain", corridor, "hall", "--json")
+    assert (status, err) == (0, "")
+    explanation = json.loads(out)
+    _, text, _ = run(capsys, "explain", corridor, "hall")
+    assert explanation.pop("text") == text.strip()
+    assert explanation == {
+        "state": 1,
+        "label": "dead",
+        "survival_time": 2,
+        "action": 0,
+        "path": {"states": [1, 2, 3], "actions": [0, 0], "cycle_start": None},
+        "safe_path": None,
+        "p_min": None,
+    }
+
+
+def test_explain_json_of_a_state_at_risk(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "explain", "FrozenLake-v1", "14", "--json")
+    explanation = json.loads(out)
+    assert (status, explanation["label"]) == (0, "at-risk")
+    lower, upper = explanation["p_min"]
+    assert 0 < lower <= upper < 1
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import json
+from dataclasses import asdict
 
 from dead_ends.cli.source import add_source_arguments, read_source
 
@@ -12,6 +14,7 @@ SUMMARY = "say why a state is lost, safe or at risk"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_source_arguments(parser)
     parser.add_argument("state", metavar="STATE", help="the name or the number of a state")
+    parser.add_argument("--json", action="store_true", help="print label and witness as JSON")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -19,5 +22,10 @@ def run(arguments: argparse.Namespace) -> int:
 
     from dead_ends.explanation import explain
 
-    print(explain(model, arguments.state).text)
+    explanation = explain(model, arguments.state)
+    if arguments.json:
+        label = explanation.label.name.lower().replace("_", "-")
+        print(json.dumps({**asdict(explanation), "label": label}, indent=2))
+    else:
+        print(explanation.text)
     return 0
