@@ -32,10 +32,11 @@ from dead_ends.envs.brake import (
     weak_braker,
 )
 from dead_ends.envs.bridge import bridge
-from dead_ends.envs.gridworld import DEFAULT_MAP, gridworld
+from dead_ends.envs.gridworld import DEFAULT_MAP, gridworld, parse_map
 from dead_ends.envs.lifegate import lifegate
 from dead_ends.expectile import expectile_iteration
 from dead_ends.io.atomic import atomic_path
+from dead_ends.io.errors import located
 from dead_ends.labels import classify, safe_actions
 from dead_ends.methods import conservatism
 from dead_ends.model import SafeMDP
@@ -79,9 +80,18 @@ def brake_scene(arguments: argparse.Namespace) -> Scene:
 
 
 def gridworld_scene(arguments: argparse.Namespace) -> Scene:
-    text = DEFAULT_MAP if arguments.map is None else arguments.map.read_text()
-    model = gridworld(text, arguments.slip)
+    model = gridworld(_map_text(arguments.map), arguments.slip)
     return _random_walk("gridworld", "Gridworld", model, seed=3)
+
+
+def _map_text(path: Path | None) -> str:
+    """The map in a file, checked here so that what is wrong with it is said of the file."""
+    if path is None:
+        return DEFAULT_MAP
+    with located(path):
+        text = path.read_text(encoding="utf-8")
+        parse_map(text)
+    return text
 
 
 def lifegate_scene(arguments: argparse.Namespace) -> Scene:
@@ -339,10 +349,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         _check(arguments)
         _draw(arguments)
-    except (ValueError, OSError) as error:
-        print(f"dead_ends.visualize: {error}", file=sys.stderr)
-        return 2
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        return _complain(f"{place}{error.strerror or error}")
+    except ValueError as error:
+        return _complain(str(error))
     return 0
+
+
+def _complain(message: str) -> int:
+    print(f"dead_ends.visualize: {message}", file=sys.stderr)
+    return 2
 
 
 def _draw(arguments: argparse.Namespace) -> None:

@@ -73,7 +73,7 @@ def test_a_users_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
         (["brake", "--gamma-safe", "1.5"], "--gamma-safe must lie in (0, 1], not 1.5"),
         (["brake", "--braking", "0"], "max_braking must be at least 1, not 0"),
         (["gridworld", "--slip", "2"], "slip must lie in 0 to 1, not 2.0"),
-        (["gridworld", "--map", "missing.txt"], "missing.txt"),
+        (["gridworld", "--map", "missing.txt"], "visualize: missing.txt: No such file"),
         ([*SMALL_BRAKE, "--out", "nowhere/a.png"], "the folder nowhere does not exist"),
     ],
 )
@@ -90,6 +90,23 @@ def test_bad_input_is_one_line_and_status_2(
     assert message in error
     assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"S.\n.?\n", "row 1, column 1 of the map: unknown cell '?'"),
+        (b"\xff\xfe", "'utf-8' codec can't decode byte 0xff"),
+    ],
+)
+def test_a_bad_map_is_named(
+    content: bytes, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "map.txt"
+    path.write_bytes(content)
+    assert main(["gridworld", "--map", str(path), "--out", str(tmp_path / "map.png")]) == 2
+    assert capsys.readouterr().err.startswith(f"dead_ends.visualize: {path}: {message}")
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_without_a_display_a_file_is_written_here(tmp_path: Path) -> None:
