@@ -85,13 +85,14 @@ def plot_map(
     actions: NDArray[np.bool_] | None = None,
     actions_name: str = "safe action",
 ) -> Figure:
-    """The labels on the model's cells, with survival times and safe actions as arrows.
+    """The labels on the model's cells, with starts, goals, survival times and safe actions.
 
     Args:
         model: a model with a geometry.
         labelling: its labels.
         title: above the picture.
-        actions: bool (S, A), drawn as arrows if the geometry names directions.
+        actions: bool (S, A), drawn as arrows if the geometry names directions; none in
+            terminal states.
         actions_name: what the arrows are, for the legend.
 
     Raises:
@@ -107,10 +108,12 @@ def plot_map(
     drawn = np.flatnonzero(_drawn(geometry))
     if len(drawn) <= MAX_NUMBERED_CELLS:
         _draw_survival_times(axes, geometry, labelling)
+        ends = _draw_ends(axes, geometry, model)
         if actions is not None and geometry.arrows is not None:
-            _draw_arrows(axes, geometry, actions, labelling)
+            _draw_arrows(axes, geometry, actions & ~model.terminal[:, None], labelling)
     handles = _map_legend(geometry, labelling, drawn)
     if len(drawn) <= MAX_NUMBERED_CELLS:
+        handles += ends
         if labelling.dead[drawn].any():
             handles.append(_symbol("$3$", _T_LEGEND))
         if actions is not None and geometry.arrows is not None:
@@ -359,6 +362,23 @@ def _draw_grid(axes: Axes, geometry: Geometry, columns: int, rows: int) -> None:
     axes.set_yticks(y0 + dy * (np.arange(rows + 1) - 0.5), minor=True)
     axes.grid(which="minor", color="white", linewidth=1.0)
     axes.tick_params(which="minor", length=0)
+
+
+def _draw_ends(axes: Axes, geometry: Geometry, model: SafeMDP) -> list[Line2D]:
+    """An S in the corner of the cells where one starts, a G in the goals; for the legend."""
+    corner = np.array(geometry.step) * (-0.36, -0.34 if geometry.y_down else 0.34)
+    starts = np.zeros_like(model.fail) if model.initial is None else model.initial > 0
+    handles = []
+    for letter, name, states, shift in (
+        ("S", "start", starts, corner),
+        ("G", "goal: the episode ends", model.terminal, np.zeros(2)),
+    ):
+        cells = np.flatnonzero(states & _drawn(geometry))
+        for x, y in _coordinates(geometry, cells) + shift:
+            axes.text(x, y, letter, ha="center", va="center", fontsize=9, weight="bold")
+        if len(cells):
+            handles.append(_symbol(f"$\\mathbf{{{letter}}}$", name))
+    return handles
 
 
 def _draw_survival_times(axes: Axes, geometry: Geometry, labelling: Labelling) -> None:

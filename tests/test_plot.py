@@ -47,6 +47,27 @@ def test_an_arrow_for_each_safe_action_of_a_safe_state() -> None:
     assert [(arrow.N, np.sign(arrow.U).tolist()) for arrow in arrows] == [(1, [-1]), (0, [])]
 
 
+def test_goals_and_starts_are_marked_and_goals_have_no_arrows() -> None:
+    geometry = Geometry(cell=np.array([(0, 0), (1, 0), (2, 0)]), arrows=((1.0, 0.0),))
+    model = SafeMDP.deterministic(
+        [[2], [0], [2]],
+        np.array([False, True, False]),
+        terminal=np.array([False, False, True]),
+        initial=0,
+        geometry=geometry,
+    )
+    figure = plot_map(model, classify(model), actions=model.available)
+    axes = figure.axes[0]
+    marks = {text.get_text(): text.get_position() for text in axes.texts}
+    assert marks["S"] == pytest.approx((-0.36, 0.34))  # the corner leaves room for arrows
+    assert marks["G"] == (2.0, 0.0)
+    arrows = [c for c in axes.collections if type(c).__name__ == "Quiver"]
+    assert [arrow.N for arrow in arrows] == [1]
+    names = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "start" in names
+    assert "goal: the episode ends" in names
+
+
 def test_y_upward_puts_row_0_at_the_bottom() -> None:
     lattice = BrakeLattice(max_distance=4, max_speed=2, obstacle_depth=1)
     model = brake(lattice)
