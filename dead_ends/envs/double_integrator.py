@@ -16,6 +16,8 @@ x - P(-v) >= 0 if v < 0. (Braking hardest ends at |v| <= 1/2, from where it can 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,7 +46,7 @@ def double_integrator(
         acceleration, time_step: the units of the coordinates, in m/s² and s.
 
     Raises:
-        ValueError: for a size below its least.
+        ValueError: for a size below its least, or a unit that is not positive and finite.
     """
     for name, value, least in (
         ("length", length, 2),
@@ -53,6 +55,9 @@ def double_integrator(
     ):
         if value < least:
             raise ValueError(f"{name} must be at least {least}, not {value}")
+    for name, size in (("acceleration", acceleration), ("time_step", time_step)):
+        if not 0 < size < math.inf:
+            raise ValueError(f"{name} must be positive and finite, not {size}")
     speed_unit = acceleration * time_step
     unit = np.array([speed_unit * time_step, speed_unit])
     lower, width = np.array([0, -max_speed]) * unit, unit / resolution

@@ -1,9 +1,9 @@
-"""Gridworlds from text maps: lava, ice, currents, goals.
+"""Gridworlds from text maps: walls, lava, ice, one-way cells, goals.
 
     .  floor                        #  wall (so is everything outside the map)
     S  start (a floor cell)         G  goal: terminal
     L  lava: a violation            ~  ice
-    < > ^ v  a current: whatever the agent does, it is carried one cell that way
+    < > ^ v  a one-way cell, a current: whatever the agent does, it is carried one cell that way
 
 The four actions move one cell; a move into a wall stays. A move that enters ice goes on in
 its direction until it leaves the ice or hits a wall. With slip probability p an action goes

@@ -3,6 +3,7 @@
 All coordinates are multiples of powers of 1/2, so floating point makes no error here.
 """
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -155,3 +156,10 @@ def test_geometry_and_grid_are_in_physical_units() -> None:
 def test_bad_sizes_are_refused(arguments: tuple[int, int, int], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         double_integrator(*arguments)
+
+
+@pytest.mark.parametrize("unit", ["acceleration", "time_step"])
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
+def test_units_are_positive(unit: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"{unit} must be positive and finite, not {value}"):
+        double_integrator(**{unit: value})
