@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from deep.collect import Policy
 from deep.correction import SafetyFilter
-from deep.exact_answers import ExactAnswer, oracle_blocks
+from deep.exact_answers import ExactAnswer, ExactTask, oracle_allows, oracle_blocks
 from deep.tasks import Task
+from deep.tasks.shapes import inside_any
 from deep.tasks.task import Bools, Floats
 
 __all__ = [
@@ -64,6 +65,7 @@ class OracleGate:
     """The limit of every filter: it knows the exact labels. Its critic is 0 or 1."""
 
     answer: ExactAnswer
+    task: ExactTask
 
     def critic(self, state: Floats, action: Actions) -> NDArray[np.floating]:
         """1 for actions that leave the safe set."""
@@ -72,7 +74,7 @@ class OracleGate:
     def correct(self, state: Floats, action: Actions) -> tuple[Actions, Bools]:
         """Replace exactly the unsafe actions, by the safest one."""
         blocked = oracle_blocks(self.answer, state, action)
-        safest = self.answer.task.safest_action(state)
+        safest = self.task.safest_action(state)
         return np.where(blocked[:, None], safest, action), blocked
 
 
@@ -81,18 +83,24 @@ class Points:
     """States to score on, and what is true of them; fixed before anything is trained.
 
     Attributes:
-        state: float (N, d), uniform over the task's box, violations left out.
-        dead: bool (N,).
-        near: bool (N,), within the stated distance of the boundary.
+        state: float (N, d), uniform over the task's box; violations, and states of which
+            nothing is certain, are left out.
+        gap: the share of the latter among the states that are no violations.
+        dead: bool (N,); the others are safe.
+        near: bool (N,), within the stated distance of the boundary; none where there is no
+            such distance.
         action: float (A, a), the grid of actions.
-        unsafe: bool (N, A), whether the action leads to a dead state or a violation.
+        unsafe, fine: bool (N, A), whether the action certainly leads to a dead state or a
+            violation; whether it certainly leads to a safe state.
     """
 
     state: Floats
+    gap: float
     dead: Bools
     near: Bools
     action: Floats
     unsafe: Bools
+    fine: Bools
 
 
 def action_grid(action_dim: int, count: int) -> Floats:
@@ -108,18 +116,21 @@ def box_points(
     """Uniform points of the task's box; ``near`` is a share of its first side."""
     task = answer.task
     state = rng.uniform(task.low, task.high, (count, len(task.low)))
-    state = state[answer.dead(state) | answer.safe(state)]
+    state = state[~inside_any(task.obstacles, task.position(state))]
+    certain = answer.dead(state) | answer.safe(state)
+    gap, state = float(1 - certain.mean()), state[certain]
     action = action_grid(task.action_dim, actions)
-    unsafe = [
-        oracle_blocks(answer, state, np.broadcast_to(a, (len(state), len(a)))) for a in action
-    ]
+    repeated = [np.broadcast_to(a, (len(state), len(a))) for a in action]
     width = near * (task.high[0] - task.low[0])
+    distance = answer.boundary_distance
     return Points(
         state,
+        gap,
         answer.dead(state),
-        answer.boundary_distance(state) <= width,
+        np.zeros(len(state), dtype=np.bool_) if distance is None else distance(state) <= width,
         action,
-        np.stack(unsafe, axis=1),
+        np.stack([oracle_blocks(answer, state, a) for a in repeated], axis=1),
+        np.stack([oracle_allows(answer, state, a) for a in repeated], axis=1),
     )
 
 
@@ -134,7 +145,7 @@ def critic_table(gate: Gate, points: Points) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class BoundaryScore:
-    """Shares in [0, 1]; a state is called dead iff its least Q_c reaches the threshold.
+    """Shares in [0, 1], NaN of nothing; dead is called what has no Q_c below the threshold.
 
     Attributes:
         dead_called_safe, safe_called_dead: over the box.
@@ -156,19 +167,19 @@ def score_boundary(table: NDArray[np.float32], threshold: float, points: Points)
     over: Bools = np.greater_equal(table, np.float32(threshold))
     called: Bools = np.all(over, axis=1, keepdims=True)[:, 0]
     dead, near = points.dead, points.near
-    blocked, unsafe = over[~dead], points.unsafe[~dead]
+    blocked, unsafe, fine = over[~dead], points.unsafe[~dead], points.fine[~dead]
     return BoundaryScore(
         dead_called_safe=_share(~called[dead]),
         safe_called_dead=_share(called[~dead]),
         near_dead_called_safe=_share(~called[dead & near]),
         near_safe_called_dead=_share(called[~dead & near]),
-        safe_actions_blocked=_share(blocked[~unsafe]),
+        safe_actions_blocked=_share(blocked[fine]),
         unsafe_actions_allowed=_share(~blocked[unsafe]),
     )
 
 
 def _share(mask: Bools) -> float:
-    return float(mask.mean()) if mask.size else 0.0
+    return float(mask.mean()) if mask.size else float("nan")
 
 
 def safe_starts(answer: ExactAnswer, count: int, rng: np.random.Generator) -> Floats:

@@ -1,7 +1,8 @@
 """Where ``deep`` meets the exact answer: the one module that knows both.
 
 Brake and the double integrator have a closed form, in their own modules; here it is
-also confronted with the tabular twins of ``dead_ends``. Nothing here enters data,
+also confronted with the tabular twins of ``dead_ends``. The Dubins car is enclosed by two
+models of ``dead_ends``. Nothing here enters data,
 training, model selection or thresholds, except the number H.
 """
 
@@ -16,14 +17,17 @@ from numpy.typing import NDArray
 
 from dead_ends.envs.brake import BrakeLattice, brake
 from dead_ends.envs.double_integrator import double_integrator
+from dead_ends.envs.dubins import dubins
 from dead_ends.labels import classify
-from deep.tasks import Brake, DoubleIntegrator, Task
+from deep.tasks import Brake, DoubleIntegrator, Dubins, Task
+from deep.tasks.shapes import inside_any
 from deep.tasks.task import Bools, Floats
 
 __all__ = [
     "ExactAnswer",
     "ExactTask",
     "exact_answer",
+    "oracle_allows",
     "oracle_blocks",
     "tabular_brake_dead",
     "tabular_double_integrator",
@@ -34,45 +38,93 @@ ExactTask: TypeAlias = Brake | DoubleIntegrator
 
 @dataclass(frozen=True)
 class ExactAnswer:
-    """The true labels of a task's states.
+    """What is certain about a task's states.
 
     Attributes:
         task: the task.
-        horizon: H.
-        dead: states (n, d) -> bool (n,), S_dead.
-        boundary_distance: states -> float (n,), along the first coordinate.
+        horizon: H; for enclosed tasks that of the outer model.
+        dead, safe: states (n, d) -> bool (n,), certainly dead, certainly safe. Where the
+            answer is in closed form, each state that is no violation is one of them.
+        boundary_distance: states -> float (n,), along the first coordinate; None for
+            enclosed tasks.
     """
 
-    task: ExactTask
+    task: Task
     horizon: int
     dead: Callable[[Floats], Bools]
-    boundary_distance: Callable[[Floats], Floats]
-
-    def safe(self, state: Floats) -> Bools:
-        """bool (n,): neither a violation nor dead (T is infinite)."""
-        return np.asarray(self.task.survival_time(state) == -1)
+    safe: Callable[[Floats], Bools]
+    boundary_distance: Callable[[Floats], Floats] | None
 
 
 def exact_answer(task: Task) -> ExactAnswer:
-    """The answer in closed form.
+    """The answer in closed form, or enclosed.
 
     Raises:
-        ValueError: if the task has none.
+        ValueError: if the task has neither.
     """
-    if not isinstance(task, Brake | DoubleIntegrator):
-        raise ValueError(
-            f"{task.name}: there is no exact answer; brake and double-integrator have one"
-        )
-    return ExactAnswer(task, task.horizon, task.dead, task.boundary_distance)
+    match task:
+        case Brake() | DoubleIntegrator():
+            return _closed_form(task)
+        case Dubins():
+            return _enclosed_dubins(task)
+        case _:
+            raise ValueError(
+                f"{task.name}: there is no exact answer; brake, double-integrator and dubins "
+                "have one"
+            )
+
+
+def _closed_form(task: ExactTask) -> ExactAnswer:
+    def safe(state: Floats) -> Bools:
+        return np.asarray(task.survival_time(state) == -1)
+
+    return ExactAnswer(task, task.horizon, task.dead, safe, task.boundary_distance)
+
+
+DUBINS_RESOLUTION = 10
+"""Position cells in the length of a step."""
+
+
+def _enclosed_dubins(task: Dubins) -> ExactAnswer:
+    """Inner and outer safe sets on a grid; between them nothing is certain.
+
+    Raises:
+        ValueError: if the side of the square is no whole number of steps.
+    """
+    length = 2 * task.half_width
+    if length != round(length):
+        raise ValueError(f"dubins: the square's side {length:g} is no whole number of steps")
+    pair = dubins(round(length), DUBINS_RESOLUTION, task.headings, task.turn, task.pillar_radius)
+    inner, outer = classify(pair.inner), classify(pair.outer)
+
+    def cell(state: Floats) -> NDArray[np.int64]:
+        corner = state[:, :2] + task.half_width
+        return pair.grid.cell_of(np.column_stack([corner, state[:, 2] % (2 * np.pi)]))
+
+    def safe(state: Floats) -> Bools:
+        return inner.safe[cell(state)]
+
+    def dead(state: Floats) -> Bools:
+        violation = inside_any(task.obstacles, state[:, :2])
+        return ~outer.safe[cell(state)] & ~violation
+
+    assert outer.horizon is not None  # finite and deterministic
+    return ExactAnswer(task, outer.horizon, dead, safe, None)
 
 
 def oracle_blocks(answer: ExactAnswer, state: Floats, action: NDArray[np.floating]) -> Bools:
-    """bool (n,): whether the action leaves the safe set; the limit of every filter.
+    """bool (n,): whether the action certainly leads to a dead state or a violation.
 
     The tasks with an exact answer are deterministic: no generator is consulted.
     """
     step = answer.task.step(state, action, np.random.default_rng(0))
     return step.violation | answer.dead(step.next_state)
+
+
+def oracle_allows(answer: ExactAnswer, state: Floats, action: NDArray[np.floating]) -> Bools:
+    """bool (n,): whether the action certainly leads to a safe state."""
+    step = answer.task.step(state, action, np.random.default_rng(0))
+    return ~step.violation & answer.safe(step.next_state)
 
 
 def tabular_brake_dead(task: Brake) -> tuple[Floats, Bools]:

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from deep.correction import SafetyFilter
 from deep.evaluate import LearnedGate, action_grid
 from deep.exact_answers import ExactAnswer
+from deep.tasks.shapes import inside_any
 from deep.tasks.task import Floats
 
 if TYPE_CHECKING:
@@ -22,15 +23,16 @@ __all__ = ["boundary_axes", "boundary_figure", "learned_value", "sweep_figure"]
 
 CELLS = 160
 ACTIONS = 17
-DEAD, SAFE = "#e8a49c", "#f4f4f0"
+SAFE, GAP, DEAD, FAIL = "#f4f4f0", "#dcd6c4", "#e8a49c", "#8c8c8c"
 LEARNED = "#1f4e9c"
 
 
 def _box_grid(answer: ExactAnswer) -> tuple[Floats, Floats, Floats]:
-    """Axes of a grid over the task's two-dimensional box, and its points (CELLS^2, 2)."""
+    """Axes of a grid over the first two coordinates, and its points; the others are 0."""
     low, high = answer.task.low, answer.task.high
-    x, y = (np.linspace(a, b, CELLS) for a, b in zip(low, high, strict=True))
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    x, y = (np.linspace(a, b, CELLS) for a, b in zip(low[:2], high[:2], strict=True))
+    points = np.zeros((CELLS**2, len(low)))
+    points[:, :2] = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     return x, y, points
 
 
@@ -49,8 +51,15 @@ def boundary_axes(
 ) -> None:
     """The exact dead set, and each filter's boundary min_a Q_c = epsilon as a line."""
     x, y, points = _box_grid(answer)
-    dead = answer.dead(points).reshape(CELLS, CELLS)
-    axes.contourf(x, y, dead, levels=[-0.5, 0.5, 1.5], colors=[SAFE, DEAD])
+    violation = inside_any(answer.task.obstacles, answer.task.position(points))
+    label = np.select([violation, answer.dead(points), answer.safe(points)], [3, 2, 0], default=1)
+    axes.contourf(
+        x,
+        y,
+        label.reshape(CELLS, CELLS),
+        levels=[-0.5, 0.5, 1.5, 2.5, 3.5],
+        colors=[SAFE, GAP, DEAD, FAIL],
+    )
     for safety in filters:
         value = learned_value(answer, safety, points).reshape(CELLS, CELLS)
         if value.min() < safety.threshold < value.max():

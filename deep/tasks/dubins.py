@@ -1,10 +1,14 @@
-"""A Dubins car: constant speed, bounded turning rate; states (x, y, heading).
+"""A Dubins car: constant speed, three steering commands; states (x, y, heading).
 
-    heading' = heading + W u dt,  p' = p + dt v (cos, sin)(heading'),
-    violation iff p' lies in the disc or touches the wall           (u in [-1, 1])
+Lengths are in units of what the car drives in a step. The action is rounded to u in
+{-1, 0, 1}; the car follows the arc that turns its heading by u delta, whose chord is
+c(u) = sin(u delta / 2) / (u delta / 2), c(0) = 1:
+
+    p' = p + c(u) (cos, sin)(heading + u delta / 2),   heading' = heading + u delta,
+    violation iff p' is nearer to the pillar's centre than its radius or outside the square.
 
 It cannot stop, so every state too near to an obstacle that it faces is dead. No closed
-form: the dead set is bracketed on a grid.
+form: ``dead_ends.envs.dubins`` encloses the safe set of these very dynamics.
 """
 
 from __future__ import annotations
@@ -21,26 +25,21 @@ from deep.tasks.task import Floats, Observations, Step, Task, clip_action
 __all__ = ["Dubins"]
 
 
-DISC = Disc(0.0, 0.0, 0.5)
-
-
 @dataclass(frozen=True)
 class Dubins(Task):
-    """A car that cannot stop, around a disc in a walled square.
+    """A car that cannot stop, around a pillar in a walled square.
 
     Attributes:
-        dt: seconds a step.
-        speed: the constant speed.
-        turn_rate: greatest turning rate, radians a second.
-        half_width: the wall is at |x| = |y| = half_width.
-        disc: the obstacle.
+        half_width: the square is |x|, |y| <= half_width.
+        pillar_radius: of the disc in the middle.
+        headings: cells of the heading in the enclosing grid.
+        turn: delta, in such cells.
     """
 
-    dt: float = 0.2
-    speed: float = 1.0
-    turn_rate: float = 2.0
-    half_width: float = 2.0
-    disc: Disc = DISC
+    half_width: float = 4.0
+    pillar_radius: float = 1.0
+    headings: int = 32
+    turn: int = 5
 
     name: ClassVar[str] = "dubins"
     state_names: ClassVar[tuple[str, ...]] = ("x", "y", "heading (rad)")
@@ -71,21 +70,25 @@ class Dubins(Task):
         action: NDArray[np.floating],
         rng: np.random.Generator,  # noqa: ARG002  (part of the interface; no noise here)
     ) -> Step:
-        """Turn, then drive; the reward is the angle driven around the disc, in radians."""
-        heading = state[:, 2] + self.turn_rate * self.dt * clip_action(action)[:, 0]
-        heading = (heading + np.pi) % (2 * np.pi) - np.pi
-        moved = self.dt * self.speed * np.stack([np.cos(heading), np.sin(heading)], axis=1)
-        position = np.clip(state[:, :2] + moved, -self.half_width, self.half_width)
-        violation = inside_any(self.obstacles, position)
-        before, after = state[:, :2] - self._centre, position - self._centre
-        cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
-        angle = np.arctan2(cross, (before * after).sum(axis=1))
+        """Follow the arc; the reward is the angle driven around the pillar, in radians."""
+        turned = self.delta * np.rint(clip_action(action)[:, 0])
+        middle = state[:, 2] + turned / 2
+        chord = np.sinc(turned / (2 * np.pi))  # sin(turned / 2) / (turned / 2)
+        moved = chord[:, None] * np.stack([np.cos(middle), np.sin(middle)], axis=1)
+        reached = state[:, :2] + moved
+        outside = np.abs(reached).max(axis=1) > self.half_width
+        violation = outside | (np.hypot(reached[:, 0], reached[:, 1]) < self.pillar_radius)
+        position = np.clip(reached, -self.half_width, self.half_width)
+        heading = (state[:, 2] + turned + np.pi) % (2 * np.pi) - np.pi
+        cross = state[:, 0] * position[:, 1] - state[:, 1] * position[:, 0]
+        angle = np.arctan2(cross, (state[:, :2] * position).sum(axis=1))
         following = np.concatenate([position, heading[:, None]], axis=1)
         return Step(following, angle, violation, np.zeros_like(violation))
 
     @property
-    def _centre(self) -> tuple[float, float]:
-        return (self.disc.x, self.disc.y)
+    def delta(self) -> float:
+        """The greatest turn in a step, radians."""
+        return self.turn * 2 * np.pi / self.headings
 
     def observe(self, state: Floats) -> Observations:
         """float32 (n, 4): the scaled position, and cosine and sine of the heading."""
@@ -101,8 +104,8 @@ class Dubins(Task):
 
     @property
     def obstacles(self) -> tuple[Shape, ...]:
-        """The disc and the wall."""
-        return (self.disc, Outside(self.half_width))
+        """The pillar and the wall."""
+        return (Disc(0.0, 0.0, self.pillar_radius), Outside(self.half_width))
 
     def position(self, state: Floats) -> Floats:
         """The car's own position."""
@@ -113,4 +116,4 @@ class Dubins(Task):
         offset = nearest_point(self.obstacles, state[:, :2]) - state[:, :2]
         wanted = np.arctan2(offset[:, 1], offset[:, 0])
         error = (wanted - state[:, 2] + np.pi) % (2 * np.pi) - np.pi
-        return np.clip(error / (self.turn_rate * self.dt), -1, 1)[:, None]
+        return np.clip(error / self.delta, -1, 1)[:, None]

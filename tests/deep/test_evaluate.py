@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import importlib.util
+import itertools
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -35,7 +36,7 @@ from deep.exact_answers import (
 )
 from deep.plots import sweep_figure
 from deep.sweep import SweepScore, _runs
-from deep.tasks import Brake, DoubleIntegrator, make_task
+from deep.tasks import Brake, DoubleIntegrator, Dubins, make_task
 
 
 def _load(name: str) -> ModuleType:
@@ -83,6 +84,32 @@ def test_the_double_integrators_closed_form_lies_in_the_tabular_brackets() -> No
         tabular_double_integrator(DoubleIntegrator(dt=0.3), 2)
 
 
+def test_the_dubins_car_is_enclosed() -> None:
+    task = Dubins()
+    answer = exact_answer(task)
+    rng = np.random.default_rng(0)
+    points = box_points(answer, 3000, 3, 0.05, rng)
+    assert 0 < points.gap < 0.2
+    assert 0.02 < points.dead.mean() < 0.98
+    # Brute force over all sequences of the three commands: dead within H steps, or not.
+    dead, safe = points.state[points.dead][:150], points.state[~points.dead][:150]
+    depth = min(answer.horizon, 7)
+    alive = {True: np.zeros(len(dead), dtype=bool), False: np.zeros(len(safe), dtype=bool)}
+    for sequence in itertools.product((-1.0, 0.0, 1.0), repeat=depth):
+        for lost, state in ((True, dead), (False, safe)):
+            running, lives = state, np.ones(len(state), dtype=bool)
+            for action in sequence:
+                step = task.step(running, np.full((len(running), 1), action), rng)
+                lives &= ~step.violation
+                running = step.next_state
+            alive[lost] |= lives
+    assert alive[False].all()
+    if depth == answer.horizon:
+        assert not alive[True].any()
+    with pytest.raises(ValueError, match="the square's side 6.5 is no whole number"):
+        exact_answer(Dubins(half_width=3.25))
+
+
 def test_tasks_without_an_exact_answer_are_refused() -> None:
     with pytest.raises(ValueError, match="point: there is no exact answer"):
         exact_answer(make_task("point"))
@@ -92,7 +119,8 @@ def test_tasks_without_an_exact_answer_are_refused() -> None:
 def test_the_oracle_is_exact_and_never_fails(answer: ExactAnswer) -> None:
     rng = np.random.default_rng(0)
     points = box_points(answer, 2000, 33, 0.05, rng)
-    gate = OracleGate(answer)
+    assert isinstance(answer.task, Brake | DoubleIntegrator)
+    gate = OracleGate(answer, answer.task)
     score = score_boundary(critic_table(gate, points), 1.0, points)
     assert score.dead_called_safe == score.near_dead_called_safe == 0
     assert score.safe_actions_blocked == score.unsafe_actions_allowed == 0
@@ -118,6 +146,9 @@ def test_points_are_labelled_and_fixed() -> None:
     assert np.array_equal(points.dead, answer.dead(points.state))
     assert (points.unsafe[points.dead]).all()
     assert not points.unsafe[~points.dead].all(axis=1).all()
+    assert np.array_equal(points.fine, ~points.unsafe)
+    assert points.gap == 0
+    assert answer.boundary_distance is not None
     distance = answer.boundary_distance(points.state)
     assert np.array_equal(points.near, distance <= 1.5)
     again = box_points(answer, 500, 5, 0.05, np.random.default_rng(1))
@@ -143,11 +174,11 @@ def test_a_critic_of_distance_is_scored_as_by_hand() -> None:
     assert 0 < loop.interventions < 1
 
 
-def test_an_empty_share_is_zero() -> None:
+def test_a_share_of_nothing_is_no_number() -> None:
     answer = exact_answer(Brake())
     points = box_points(answer, 200, 3, 0.0, np.random.default_rng(0))
     score = score_boundary(np.zeros((len(points.state), 3), dtype=np.float32), 0.5, points)
-    assert score.near_dead_called_safe == 0
+    assert np.isnan(score.near_dead_called_safe)
     assert score.dead_called_safe == 1
 
 

@@ -346,8 +346,8 @@ def test_the_command_line_says_what_is_wrong_in_one_line(
         == 2
     )
     assert "no.hdf5: there is no such file" in capsys.readouterr().err
-    assert main(["compare", "--out", str(tmp_path / "y"), "--task", "dubins"]) == 2
-    assert "dubins: there is no exact answer" in capsys.readouterr().err
+    assert main(["compare", "--out", str(tmp_path / "y"), "--task", "point"]) == 2
+    assert "point: there is no exact answer" in capsys.readouterr().err
 
 
 def test_pretraining_from_the_command_line(

@@ -232,12 +232,17 @@ def test_success_ends_navigation_without_cost() -> None:
     assert (reward, terminated, truncated, info["cost"]) == (-3.0, True, False, 0.0)
 
 
-def test_dubins_turns_by_its_rate_and_drives_by_its_speed() -> None:
+def test_dubins_follows_arcs_of_unit_length() -> None:
     task = Dubins()
-    step = task.step(np.array([[1.0, 1.0, np.pi - 0.1]]), np.ones((1, 1)), np.random.default_rng(0))
-    heading = -np.pi + 0.3
-    expected = [1 + 0.2 * np.cos(heading), 1 + 0.2 * np.sin(heading), heading]
-    assert step.next_state[0] == pytest.approx(expected, abs=1e-12)
+    state = np.array([[2.0, 2.0, np.pi - 0.1]])
+    for action, turned in ((1.0, task.delta), (0.4, 0.0), (-0.6, -task.delta)):
+        step = task.step(state, np.full((1, 1), action), np.random.default_rng(0))
+        # The arc of length 1 by small pieces.
+        pieces = state[0, 2] + turned * (np.arange(10_000) + 0.5) / 10_000
+        expected = state[0, :2] + [np.cos(pieces).mean(), np.sin(pieces).mean()]
+        assert step.next_state[0, :2] == pytest.approx(expected, abs=1e-8)
+        heading = (state[0, 2] + turned + np.pi) % (2 * np.pi) - np.pi
+        assert step.next_state[0, 2] == pytest.approx(heading)
 
 
 def test_nearest_points_of_shapes() -> None:
