@@ -30,6 +30,9 @@ __all__ = ["Explanation", "Path", "explain", "state_index"]
 SHOWN = 6
 """A path with more states than this is abbreviated in sentences."""
 
+P_MIN_TOLERANCE = 1e-6
+"""How far apart the bounds on P_min may be: about the digits that a sentence shows."""
+
 
 @dataclass(frozen=True)
 class Path:
@@ -164,7 +167,8 @@ def _explain_safe(model: SafeMDP, state: int, labelling: Labelling) -> Explanati
 
 
 def _explain_at_risk(model: SafeMDP, state: int, labelling: Labelling) -> Explanation:
-    values = value_iteration(model, 1.0)  # undiscounted: the least probability of failing
+    # undiscounted: the least probability of failing
+    values = value_iteration(model, 1.0, tolerance=P_MIN_TOLERANCE)
     p_min = float(values.V_lower[state]), float(values.V_upper[state])
     best = recovery_policy(values)
     follows = np.zeros((model.num_states, model.num_actions), dtype=np.bool_)

@@ -222,3 +222,14 @@ def test_states_go_by_index_or_name() -> None:
 def test_unknown_states_are_named(names: list[str] | None, state: int | str, message: str) -> None:
     with pytest.raises(ValueError, match=f"^{message}$"):
         explain(named(names), state)
+
+
+def test_a_state_that_seldom_moves_is_explained() -> None:
+    """Probabilities near 1 are known to a few digits only where the agent stays for long."""
+    P = np.zeros((3, 1, 3))
+    P[0, 0] = [1 - 2e-6, 1e-6, 1e-6]
+    explanation = explain(SafeMDP.stochastic(P, np.arange(3) == 1, terminal=np.arange(3) == 2), 0)
+    assert explanation.label is Label.AT_RISK
+    assert explanation.p_min is not None
+    lower, upper = explanation.p_min
+    assert lower <= 0.5 <= upper <= lower + 1e-6
