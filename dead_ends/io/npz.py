@@ -210,7 +210,7 @@ def _model_arrays(model: SafeMDP) -> dict[str, Any]:
         if model.exact is None:
             arrays["P_data"] = kernel.data
         else:
-            arrays["P_exact"] = np.array([str(p) for p in model.exact])
+            arrays["P_exact"] = np.array([str(p) for p in model.exact], dtype=np.str_)
         arrays["available"] = model.available
     for name in ("rewards", "initial"):
         if getattr(model, name) is not None:

@@ -179,3 +179,10 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
         load_npz(tmp_path)
     with pytest.raises(ValueError, match="does not exist"):
         save_npz(tmp_path / "absent" / "model.npz", SafeMDP.deterministic(TABLE, FAIL))
+
+
+def test_an_exact_model_without_transitions(tmp_path: Path) -> None:
+    path = tmp_path / "model.npz"
+    model = SafeMDP.stochastic(np.full((1, 1, 1), Fraction(1)), np.array([True]))
+    save_npz(path, model)
+    assert_same(load_npz(path), model)
