@@ -36,6 +36,8 @@ __all__ = ["Certificate", "CertificateError", "check_certificate", "model_digest
 
 FAIL, DEAD, SAFE, AT_RISK = range(4)
 NEVER = np.iinfo(np.int64).max
+BLOCK = 1 << 18
+"""States compared at a time: what the checker holds beside the columns stays small."""
 
 
 class CertificateError(ValueError):
@@ -65,12 +67,12 @@ def model_digest(model: SafeMDP) -> str:
     content = hashlib.sha256(f"{kind} {model.num_states} {model.num_actions}\n".encode())
     content.update(np.packbits(model.fail).tobytes() + np.packbits(model.terminal).tobytes())
     if model.is_deterministic:
-        content.update(model.successors().astype("<i4").tobytes())
+        for first in range(0, model.num_states, BLOCK):
+            content.update(_successors(model, first).astype("<i4").tobytes())
     else:
         kernel = model.transitions()
-        content.update(kernel.indptr.astype("<i8").tobytes())
-        content.update(kernel.indices.astype("<i4").tobytes())
-        content.update(kernel.data.astype("<f8").tobytes())
+        for array, form in ((kernel.indptr, "<i8"), (kernel.indices, "<i4"), (kernel.data, "<f8")):
+            content.update(np.ascontiguousarray(array, dtype=form).data)
         content.update(" ".join(map(str, model.exact or ())).encode())
     return content.hexdigest()
 
@@ -93,9 +95,9 @@ def check_certificate(model: SafeMDP, certificate: Certificate) -> None:
     )
     unsafe, chooses = (labels == DEAD) | (labels == AT_RISK), labels >= SAFE
 
-    def require(condition: NDArray[np.bool_], what: str) -> None:
+    def require(condition: NDArray[np.bool_], what: str, first: int = 0) -> None:
         if not condition.all():
-            raise CertificateError(f"{model.state_name(int(condition.argmin()))}: {what}")
+            raise CertificateError(f"{model.state_name(first + int(condition.argmin()))}: {what}")
 
     require((labels >= FAIL) & (labels <= AT_RISK), "not a label")
     require((labels == FAIL) == model.fail, "the label fail belongs to the fail states alone")
@@ -106,42 +108,68 @@ def check_certificate(model: SafeMDP, certificate: Certificate) -> None:
     require((action >= -1) & (action < model.num_actions), "not an action")
     require((action >= 0) == chooses, "safe and at-risk states have an action, others -1")
 
-    # The transitions, as columns: the choice s*A + a of each, its source s and its target.
-    kernel = model.transitions()
-    choice = np.repeat(np.arange(len(kernel.indptr) - 1), np.diff(kernel.indptr))
-    source, target = choice // model.num_actions, kernel.indices
-    first = kernel.indptr[:-1][np.diff(kernel.indptr) > 0]  # each available choice's first place
-    owner = source[first]
-    chosen = choice == source * model.num_actions + action[source]
-    require(~chooses | _any(chosen, source, labels), "its action is not available")
+    for start in range(0, model.num_states, BLOCK):
+        # The transitions of a block of states, as columns: their choice, source s and target.
+        ends, target = _transitions(model, start)
+        choice = np.repeat(np.arange(len(ends) - 1) + start * model.num_actions, np.diff(ends))
+        source = choice // model.num_actions
+        first = ends[:-1][np.diff(ends) > 0]  # each available choice's first place
+        owner = source[first]
+        states = np.arange(start, min(start + BLOCK, model.num_states))
+        chosen = choice == source * model.num_actions + action[source]
+        found = _any(chosen, source, states)
+        require(~chooses[states] | found, "its action is not available", start)
 
-    stays = ~(labels[source] == DEAD) | (labels[target] <= DEAD)
-    require(_all(stays, source, labels), "labelled dead, with a successor that is not")
-    stays = ~(chosen & (labels[source] == SAFE)) | (labels[target] == SAFE)
-    require(_all(stays, source, labels), "labelled safe, and its action may leave the safe states")
+        stays = (labels[source] != DEAD) | (labels[target] <= DEAD)
+        require(_all(stays, source, states), "labelled dead, with a successor that is not", start)
+        stays = ~(chosen & (labels[source] == SAFE)) | (labels[target] == SAFE)
+        stays = _all(stays, source, states)
+        require(stays, "labelled safe, and its action may leave the safe states", start)
 
-    danger = np.where(labels[target] == SAFE, NEVER, rank[target])
-    nearest = np.minimum.reduceat(danger, first) if len(first) else danger
-    lower = ~unsafe[owner] | (nearest < rank[owner])
-    require(_all(lower, owner, labels), "some action has no unsafe successor of lower rank")
+        danger = np.where(labels[target] == SAFE, NEVER, rank[target])
+        nearest = np.minimum.reduceat(danger, first) if len(first) else danger
+        lower = _all(~unsafe[owner] | (nearest < rank[owner]), owner, states)
+        require(lower, "some action has no unsafe successor of lower rank", start)
+        if model.is_deterministic:
+            tight = ~unsafe[states] | _any(nearest == rank[owner] - 1, owner, states)
+            require(tight, "rank is not 1 + the greatest of successors", start)
+        nearer = chosen & (labels[target] >= SAFE) & (escape[target] < escape[source])
+        nearer = (labels[states] != AT_RISK) | _any(nearer, source, states)
+        require(nearer, "its action does not escape", start)
+
+
+def _successors(model: SafeMDP, start: int) -> NDArray[np.int32]:
+    """int32 (BLOCK, A) of a deterministic model: fail states have none, terminal ones stay."""
+    assert model.next_state is not None
+    block = slice(start, start + BLOCK)
+    table = np.array(model.next_state[block])
+    table[model.fail[block]] = -1
+    terminal = np.flatnonzero(model.terminal[block])
+    table[terminal] = terminal[:, None] + start
+    return table
+
+
+def _transitions(model: SafeMDP, start: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The targets of a block of states, and where those of each choice s*A + a end."""
     if model.is_deterministic:
-        tight = unsafe[owner] & (nearest == rank[owner] - 1)
-        require(~unsafe | _any(tight, owner, labels), "rank is not 1 + the greatest of successors")
-    nearer = chosen & (labels[target] >= SAFE) & (escape[target] < escape[source])
-    require((labels != AT_RISK) | _any(nearer, source, labels), "its action does not escape")
+        flat = _successors(model, start).ravel()
+        return np.concatenate(([0], np.cumsum(flat >= 0))), flat[flat >= 0]
+    kernel = model.transitions()
+    ends = kernel.indptr[start * model.num_actions : (start + BLOCK) * model.num_actions + 1]
+    return ends - ends[0], kernel.indices[ends[0] : ends[-1]]
 
 
 def _any(
-    holds: NDArray[np.bool_], owner: NDArray[np.int64], states: NDArray[Any]
+    holds: NDArray[np.bool_], owner: NDArray[np.int64], states: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """For each state: whether it owns an entry that holds."""
+    """For each of the consecutive states: whether it owns an entry that holds."""
     result = np.zeros(len(states), dtype=np.bool_)
-    result[owner[holds]] = True
+    result[owner[holds] - states[0]] = True
     return result
 
 
 def _all(
-    holds: NDArray[np.bool_], owner: NDArray[np.int64], states: NDArray[Any]
+    holds: NDArray[np.bool_], owner: NDArray[np.int64], states: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """For each state: whether every entry that it owns holds."""
+    """For each of the consecutive states: whether every entry that it owns holds."""
     return ~_any(~holds, owner, states)

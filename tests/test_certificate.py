@@ -2,6 +2,7 @@
 
 import ast
 import json
+import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
@@ -164,6 +165,33 @@ def test_every_mutation_of_small_models() -> None:
             kept += verdict
     # True mutations exist: another action that stays, a higher rank where nothing hangs on it.
     assert refused > kept > 0
+
+
+@pytest.mark.parametrize("block", [1, 2])
+def test_blocks_do_not_change_the_verdict(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """States are compared block by block; small models fit one, so blocks are made smaller."""
+    models = MODELS[::7]
+    certificates = [certify(model) for model in models]
+    monkeypatch.setattr(dead_ends.checker, "BLOCK", block)
+    for model, certificate in zip(models, certificates, strict=True):
+        check_certificate(model, certificate)  # its digest was made in one block
+        for name, state, value in product(COLUMNS, range(3), range(-1, 4)):
+            mutant = changed(certificate, name, state, value)
+            assert accepted(model, mutant) == is_true(model, mutant), (model, name, state, value)
+
+
+def test_the_check_needs_little_memory() -> None:
+    """Not the whole kernel of a table: bytes a state, for four actions."""
+    num_states = 1_000_000
+    shifts = np.array([0, 1, 7, 100], dtype=np.int32)
+    table = (np.arange(num_states, dtype=np.int32)[:, None] + shifts) % num_states
+    model = SafeMDP.deterministic(table, np.arange(num_states) % 100 == 50)
+    certificate = certify(model)
+    tracemalloc.start()
+    check_certificate(model, certificate)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 150 * num_states
 
 
 def test_no_certificate_at_all_for_wrong_labels() -> None:
