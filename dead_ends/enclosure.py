@@ -38,7 +38,6 @@ SHIFTED_ITERATIONS = 8
 SWEEPS = 10
 EPSILON = 2.0**-52
 
-
 Solve = Callable[[Csr, Float, Float], Float | None]
 """(M, c, start) -> an approximate solution of x = M x + c."""
 
@@ -91,23 +90,31 @@ def enclose(
         return Enclosure(lower, lower, upper, 0)
     warm_up = min(WARM_UP, max_iterations)
     for _ in range(warm_up):
-        lower = np.maximum(lower, operator.lower(lower))
-        upper = np.minimum(upper, operator.upper(upper))
+        lower, upper = _sweep(operator, lower, upper)
     guess = _guess(operator, lower)
     if guess is not None:
         guess = np.clip(guess, lower, upper)
         low, high = _verified(operator, guess)
-        lower, upper = np.maximum(lower, low), np.minimum(upper, high)
+        upper = np.minimum(upper, high)
+        lower = np.minimum(np.maximum(lower, low), upper)
     iterations = warm_up
     while iterations < max_iterations and _widths(lower, upper).max() > tolerance:
-        next_lower = np.maximum(lower, operator.lower(lower))
-        next_upper = np.minimum(upper, operator.upper(upper))
+        next_lower, next_upper = _sweep(operator, lower, upper)
         iterations += 1
         if (next_lower == lower).all() and (next_upper == upper).all():
             break
         lower, upper = next_lower, next_upper
     middle = lower + (upper - lower) / 2 if guess is None else np.clip(guess, lower, upper)
     return Enclosure(lower, middle, upper, iterations)
+
+
+def _sweep(operator: MonotoneOperator, lower: Float, upper: Float) -> tuple[Float, Float]:
+    """One sweep of value iteration from below and from above.
+
+    The lower bound stays under the upper one also where rows sum to slightly more than 1.
+    """
+    upper = np.minimum(upper, operator.upper(upper))
+    return np.minimum(np.maximum(lower, operator.lower(lower)), upper), upper
 
 
 def check_width(bounds: Enclosure, tolerance: float, name: Callable[[int], str]) -> None:
@@ -137,7 +144,8 @@ def _guess(operator: MonotoneOperator, x: Float) -> Float | None:
     rough = _policy_iteration(operator, solver.quickly, x, 60, np.max)
     if rough is None:
         return None
-    return _policy_iteration(operator, solver.carefully, rough, 12, np.abs)
+    careful = _policy_iteration(operator, solver.carefully, rough, 12, np.abs)
+    return rough if careful is None else careful
 
 
 def _policy_iteration(

@@ -204,9 +204,9 @@ class Expectile:
         return shrink(self._best(means), self._operations)
 
     def upper(self, x: Float) -> Float:
-        """F(x), rounded upward, at most 1."""
+        """F(x), rounded upward."""
         means = self._means(self.kernel.upper(self._successors(x)))
-        return np.minimum(grow(self._best(means), self._operations), 1.0)
+        return grow(self._best(means), self._operations)
 
     def linear(self, x: Float) -> tuple[Csr, Float]:
         """The weighted means that are chosen at x, on the unknown states, and the rest."""

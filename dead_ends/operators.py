@@ -32,7 +32,6 @@ class Optimum:
         gamma: the discount.
         reward: r.
         maximise: whether opt is max.
-        cap: no value is greater.
     """
 
     kernel: RoundedKernel
@@ -42,7 +41,6 @@ class Optimum:
     gamma: float
     reward: float = 0.0
     maximise: bool = False
-    cap: float = 1.0
 
     def value(self, x: Float) -> Float:
         """F(x), to nearest."""
@@ -54,10 +52,9 @@ class Optimum:
         return self._best(shrink(self.reward + sums, 1) if self.reward else sums)
 
     def upper(self, x: Float) -> Float:
-        """F(x), rounded upward, at most the cap."""
+        """F(x), rounded upward."""
         sums = self.kernel.upper(self._successors(x))
-        best = self._best(grow(self.reward + sums, 1) if self.reward else sums)
-        return np.minimum(best, self.cap)
+        return self._best(grow(self.reward + sums, 1) if self.reward else sums)
 
     def linear(self, x: Float) -> tuple[Csr, Float]:
         """The rows of the best actions at x, on the unknown states, and the rest."""

@@ -155,7 +155,6 @@ def _longest(model: SafeMDP, states: NDArray[np.int64]) -> Optimum:
         gamma=1.0,
         reward=1.0,
         maximise=True,
-        cap=math.inf,
     )
 
 

@@ -329,6 +329,7 @@ def test_rows_that_sum_to_slightly_more_than_one_stay_below_one() -> None:
         values = value_iteration(model, gamma)
         assert (values.V_upper <= 1).all()
         assert (values.Q_upper[:2] <= 1).all()
+        assert (values.V_lower <= values.V_upper).all()
 
 
 # Errors

@@ -171,6 +171,15 @@ def test_stochastic_interval_is_restored_theorem_2() -> None:
     assert floats.recommended == floats.upper / 2
 
 
+def test_stochastic_interval_is_about_states_that_need_not_fail() -> None:
+    """State 1, which risks 1/100, is not reached from state 0, where the choice is 0 or 1."""
+    P = np.zeros((3, 2, 3))
+    P[0, 0, 0] = P[0, 1, 2] = 1
+    P[1, :, 0], P[1, :, 2] = 0.99, 0.01
+    model = SafeMDP.stochastic(P, np.array([False, False, True]))
+    assert threshold_interval(model, 0.9).upper == 1
+
+
 def test_stochastic_interval_may_be_empty_or_unbounded() -> None:
     P = np.zeros((2, 2, 2))
     P[0, 0, 0] = P[0, 1, 1] = 1
