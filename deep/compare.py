@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from dead_ends.io.atomic import atomic_path
 from deep.collect import Policy, random_policy, sb3_policy, towards_obstacle_policy
 from deep.config import Mix, PretrainConfig
-from deep.correction import SafetyFilter
 from deep.evaluate import (
     BoundaryScore,
     ClosedLoop,
@@ -37,6 +36,7 @@ from deep.evaluate import (
 from deep.exact_answers import ExactAnswer, exact_answer
 from deep.pretrain import SETTINGS
 from deep.run import pretrain
+from deep.safety_filter import SafetyFilter
 from deep.tasks import Brake, DoubleIntegrator, Task, TaskEnv, make_task
 from deep.thresholds import paper_threshold
 

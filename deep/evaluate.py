@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deep.collect import Policy
-from deep.correction import SafetyFilter
 from deep.exact_answers import ExactAnswer, ExactTask, oracle_allows, oracle_blocks
+from deep.safety_filter import SafetyFilter
 from deep.tasks import Task
 from deep.tasks.shapes import inside_any
 from deep.tasks.task import Bools, Floats

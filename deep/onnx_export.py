@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from dead_ends.io.atomic import atomic_path
-from deep.correction import Layers, SafetyFilter
+from deep.safety_filter import Layers, SafetyFilter
 
 __all__ = ["export_onnx"]
 

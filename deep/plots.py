@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from deep.correction import SafetyFilter
 from deep.evaluate import LearnedGate, action_grid
 from deep.exact_answers import ExactAnswer
+from deep.safety_filter import SafetyFilter
 from deep.tasks.shapes import inside_any
 from deep.tasks.task import Floats
 

@@ -31,12 +31,12 @@ from dead_ends.io.atomic import atomic_path
 from deep.batches import Batches
 from deep.checkpoint import load_checkpoint, save_checkpoint
 from deep.config import PretrainConfig, config_from_json, config_to_json, resolve
-from deep.correction import Normalisation, SafetyFilter
 from deep.data import Transitions
 from deep.formats import read_hdf5
 from deep.pretrain import Learner, Sizes, build_learner
 from deep.pretrain.extract import extract_filter
 from deep.pretrain.health import CriticHealth, check_critics, check_losses
+from deep.safety_filter import Normalisation, SafetyFilter
 from deep.tasks import Brake, DoubleIntegrator, Task, make_task
 
 __all__ = ["PretrainResult", "normalisation_of", "open_run", "pretrain", "task_horizon"]

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from deep.correction import Normalisation, SafetyFilter
 from deep.pretrain.learner import Learner
+from deep.safety_filter import Normalisation, SafetyFilter
 
 __all__ = ["extract_filter"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deep.correction import Normalisation, SafetyFilter
+from deep.safety_filter import Normalisation, SafetyFilter
 
 
 def linear_filter(

@@ -16,15 +16,11 @@ from safetensors.numpy import save_file
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from deep.correction import (
-    BehaviorCorrection,
-    BehaviorCorrectionVector,
-    Normalisation,
-    SafetyFilter,
-)
+from deep.correction import BehaviorCorrection, BehaviorCorrectionVector
 from deep.onnx_export import export_onnx
 from deep.pretrain import DeaRrlAnnealed, DeaRrlAnnealedSettings, Sizes
 from deep.pretrain.extract import extract_filter
+from deep.safety_filter import Normalisation, SafetyFilter
 from deep.tasks import Brake, TaskEnv, TaskVectorEnv
 
 

@@ -19,7 +19,6 @@ import torch
 from deep.__main__ import main
 from deep.checkpoint import load_checkpoint, save_checkpoint
 from deep.config import Mix, PretrainConfig, config_from_json, config_to_json, resolve
-from deep.correction import SafetyFilter
 from deep.data import Transitions
 from deep.formats import read_hdf5, write_hdf5
 from deep.pretrain import (
@@ -33,6 +32,7 @@ from deep.pretrain import (
 from deep.pretrain.health import Status, check_critics, check_losses
 from deep.pretrain.learner import Losses
 from deep.run import normalisation_of, pretrain, read_run
+from deep.safety_filter import SafetyFilter
 from deep.tasks import Brake
 from deep.thresholds import discount_from_horizon, low_threshold, paper_threshold
 
