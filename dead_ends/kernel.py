@@ -116,7 +116,7 @@ def _build_exact(
 
 def _fraction(p: Any, state: int, action: int, name: NamePair) -> Fraction:
     try:
-        value = Fraction(repr(p)) if isinstance(p, float) else Fraction(p)
+        value = Fraction(repr(float(p))) if isinstance(p, float) else Fraction(p)
     except (TypeError, ValueError):
         raise ValueError(f"{name(state, action)}: {p!r} is not a probability") from None
     if value < 0:

@@ -128,6 +128,13 @@ def test_fractions_are_kept() -> None:
     assert model.exact_probabilities() == (third, 1 - third, Fraction(1))
 
 
+@pytest.mark.parametrize("number", [float, np.float64])
+def test_floats_beside_fractions_are_read_as_decimals(number: type) -> None:
+    P = np.array([[[number(0.1), Fraction(9, 10)]], [[0, 1]]], dtype=object)
+    model = SafeMDP.stochastic(P, np.array([False, True]))
+    assert model.exact == (Fraction(1, 10), Fraction(9, 10))
+
+
 def test_no_fraction_is_rounded_to_zero() -> None:
     tiny = Fraction(1, 10**400)
     P = np.array([[[1 - tiny, tiny]], [[0, 0]]], dtype=object)
