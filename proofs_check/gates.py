@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -66,3 +67,19 @@ def best(implementation: Implementation, case: Case, **convention: Any) -> Table
 def of_task(implementation: Implementation, case: Case, **convention: Any) -> Tables:
     """V^pi, Q^pi of the task policy."""
     return implementation.of_policy(case.model, case.task, case.gamma, **convention)
+
+
+@lru_cache(maxsize=256)
+def entries(case: Case) -> tuple[Table, Table, Table]:
+    """The transitions as (row s * A + a, successor, probability)."""
+    kernel = case.model.transitions()
+    rows = np.repeat(np.arange(kernel.shape[0]), np.diff(kernel.indptr))
+    return rows, kernel.indices, np.array(case.model.exact_probabilities(), dtype=object)
+
+
+def transitions(case: Case, values: Table) -> Table:
+    """(S, A) E values(s'), exactly; 0 where the action is not available."""
+    rows, successors, probabilities = entries(case)
+    flat = np.full(case.model.available.size, Fraction(0), dtype=object)
+    np.add.at(flat, rows, probabilities * values[successors])
+    return flat.reshape(case.model.available.shape)

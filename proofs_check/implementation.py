@@ -287,6 +287,20 @@ def _underestimated(model: SafeMDP, gamma: Discount, **convention: Any) -> Table
     return (_swept(model, 2), Q) if gamma == 1 else (V, Q)
 
 
+def _not_corrected(policy: Table, Q: Table, epsilon: Discount, recovery: Table) -> Table:
+    """The task policy itself."""
+    del Q, epsilon, recovery
+    return policy
+
+
+def _same_model(model: SafeMDP, Q: Table, epsilon: Discount, recovery: Table) -> SafeMDP:
+    """The model itself."""
+    del Q, epsilon, recovery
+    return model
+
+
+NOT_CORRECTED = replace(LIBRARY, correct=_not_corrected)
+CORRECTED_MODEL_UNCHANGED = replace(LIBRARY, corrected=_same_model)
 LABELS_SURE = replace(LIBRARY, labels=_sure_labels)
 ZERO_VALUES = replace(LIBRARY, best=_zero_values)
 UNDERESTIMATED = replace(LIBRARY, best=_underestimated)

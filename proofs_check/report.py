@@ -25,6 +25,7 @@ from proofs_check.rows import Row, Tally
 
 README = Path(__file__).with_name("README.md")
 BEGIN, END = "<!-- report: begin -->", "<!-- report: end -->"
+GALLERY_BEGIN, GALLERY_END = "<!-- counterexamples: begin -->", "<!-- counterexamples: end -->"
 STATEMENT, KERNEL = "statement", "kernel"
 """Keys of the properties that tests leave: a row's numbers, the theorems proved."""
 
@@ -218,6 +219,23 @@ def render(rows: dict[str, dict[str, str]]) -> str:
     return "\n".join(lines)
 
 
+def gallery(rows: dict[str, dict[str, str]]) -> str:
+    """The counterexample of each refuted statement: picture, claim, model file."""
+    parts = [
+        f"**{name}** ([model](counterexamples/{name}.npz))\n\n"
+        f"![The smallest counterexample to {name}](../figures/counterexample-{name}.png)\n"
+        for name, row in sorted(rows.items())
+        if row.get("verdict") == "false"
+    ]
+    return "\n".join(parts)
+
+
+def _between(text: str, begin: str, end: str, content: str) -> str:
+    """The text with everything between two marks replaced."""
+    head, _, rest = text.partition(begin)
+    return f"{head}{begin}\n{content}\n{end}{rest.partition(end)[2]}"
+
+
 def _line(cells: Iterable[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
@@ -229,8 +247,11 @@ def escaped(cells: dict[str, str]) -> dict[str, str]:
 
 def stale(card: Card, complete: bool) -> list[str]:
     """Where the README's table differs from what this run found."""
-    rows = parse(README.read_text(encoding="utf-8"))
+    text = README.read_text(encoding="utf-8")
+    rows = parse(text)
     differences = []
+    if text != _between(text, GALLERY_BEGIN, GALLERY_END, gallery(rows)):
+        differences.append("the counterexamples are not those of the table")
     for name, statement in card.statements.items():
         if name not in rows:
             differences.append(f"{name}: no such row")
@@ -251,7 +272,7 @@ def write(card: Card, complete: bool) -> None:
         rows = {name: row for name, row in rows.items() if name in card.statements}
     for name, statement in card.statements.items():
         rows[name] = rows.get(name, {}) | escaped(card.cells(statement))
-    head, _, rest = text.partition(BEGIN)
-    tail = rest.partition(END)[2]
+    text = _between(text, BEGIN, END, render(rows))
+    text = _between(text, GALLERY_BEGIN, GALLERY_END, gallery(rows))
     with atomic_path(README) as path:
-        path.write_text(f"{head}{BEGIN}\n{render(rows)}\n{END}{tail}", encoding="utf-8")
+        path.write_text(text, encoding="utf-8")

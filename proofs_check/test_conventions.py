@@ -10,13 +10,16 @@ from numpy.typing import NDArray
 
 from dead_ends.conventions import CriticConvention as Critic
 from dead_ends.conventions import ValueConvention as Value
-from dead_ends.statements import boundary_exact
+from dead_ends.statements import boundary_exact, unsafe_allowed
 from proofs_check.cases import Case, Mask, drawn_deterministic, small_cases
-from proofs_check.gates import best, just_above
+from proofs_check.gates import allowed, best, horizon_thresholds, just_above
 from proofs_check.implementation import (
+    EPSILON_TOO_LARGE,
+    EPSILON_TOO_SMALL,
     INTERVAL_TOO_LARGE,
     INTERVAL_TOO_SMALL,
     LIBRARY,
+    LOSS_TARGET,
     NOT_STRICT,
     STOPPED_EARLY,
     Discount,
@@ -24,7 +27,14 @@ from proofs_check.implementation import (
 )
 from proofs_check.report import Means, Recorder
 from proofs_check.rows import Finding, Row, finding, run
-from proofs_check.suite import exhaustive_test, judge, large_test, sampled_test, teeth_test
+from proofs_check.suite import (
+    counterexample_test,
+    exhaustive_test,
+    judge,
+    large_test,
+    sampled_test,
+    teeth_test,
+)
 
 NONE = 99
 """An exponent that no threshold reaches: the interval is empty."""
@@ -113,6 +123,47 @@ def check_interval(
     return finding(case, wrong, case.boundary >= 0)
 
 
+def check_convention(
+    implementation: Implementation,
+    case: Case,
+    value: Value,
+    critic: Critic,
+) -> Mask:
+    """(S, A) Unsafe actions that pass eps = gamma^H in another convention."""
+    _, Q = best(implementation, case, value=value, critic=critic)
+    mask = allowed(implementation, case, Q, horizon_thresholds(implementation, case))
+    return unsafe_allowed(case.model, case.safe, mask)
+
+
+def check_proof_convention(implementation: Implementation, case: Case) -> Finding:
+    """Q = gamma V(s') with V(fail) = 1, as in the proof of Theorem 2."""
+    wrong = check_convention(
+        implementation,
+        case,
+        Value.COST_FAIL_1,
+        Critic.DISCOUNTED_NEXT_VALUE,
+    )
+    return finding(case, wrong, case.boundary >= 0)
+
+
+def check_proof_convention_with_dead(implementation: Implementation, case: Case) -> Finding:
+    """The same where S_dead is not empty, so that H >= 1."""
+    met = case.any_of(case.dead)
+    wrong = check_convention(
+        implementation,
+        case,
+        Value.COST_FAIL_1,
+        Critic.DISCOUNTED_NEXT_VALUE,
+    )
+    return finding(case, case.any_of(wrong) & met, met & case.boundary >= 0)
+
+
+def check_literal(implementation: Implementation, case: Case) -> Finding:
+    """Q = V(s') with V(fail) = 0: the equations of the Preliminary as they stand."""
+    wrong = check_convention(implementation, case, Value.COST_FAIL_0, Critic.NEXT_VALUE)
+    return finding(case, wrong, case.boundary >= 0)
+
+
 CELLS = tuple((value, critic) for value in Value for critic in Critic)
 TABLE = tuple(
     Row(
@@ -145,10 +196,50 @@ INTERVALS = tuple(
     for value, critic in CELLS
 )
 
-test_all_small_models = exhaustive_test(TABLE)
-test_six_states = large_test(TABLE)
-test_drawn_models = sampled_test(TABLE + INTERVALS, drawn_deterministic())
-test_wrong_variants = teeth_test(TABLE)
+THEOREM_2 = (
+    Row(
+        name="theorem-2-proof-convention",
+        place="Theorem 2, its proof (Q = gamma V(s'), V(fail) = 1)",
+        claim="In the convention of its proof, with eps = gamma^H, no allowed action leaves "
+        "S_safe.",
+        check=check_proof_convention,
+        holds=False,
+        mutants={
+            "target of the loss": LOSS_TARGET,
+            "epsilon two powers smaller": EPSILON_TOO_SMALL,
+        },
+        rests_on="deterministic; V(fail) = 1, Q = gamma V(s')",
+        because="There is no dead-end, so H = 0 and eps = 1; the action that enters fail has "
+        "Q = gamma V(fail) = gamma < 1 and is allowed.",
+    ),
+    Row(
+        name="theorem-2-proof-convention-repaired",
+        place="Theorem 2, its proof (Q = gamma V(s'), V(fail) = 1)",
+        claim="In the convention of its proof, with eps = gamma^H, no allowed action leaves "
+        "S_safe if there is a dead state.",
+        check=check_proof_convention_with_dead,
+        mutants={"epsilon one power too large": EPSILON_TOO_LARGE, "not strict": NOT_STRICT},
+        rests_on="deterministic; V(fail) = 1, Q = gamma V(s'); S_dead not empty",
+    ),
+    Row(
+        name="theorem-2-literal",
+        place="Theorem 2 with Eqs. state_cost_function and action_cost_function",
+        claim="By the Preliminary's equations, with eps = gamma^H, no allowed action leaves "
+        "S_safe.",
+        check=check_literal,
+        holds=False,
+        mutants={"target of the loss": LOSS_TARGET},
+        rests_on="deterministic; V(fail) = 0, Q = V(s')",
+        because="Q = V(fail) = 0 for the action that enters fail: the agent is let straight into "
+        "the violation.",
+    ),
+)
+
+test_all_small_models = exhaustive_test(TABLE + THEOREM_2)
+test_six_states = large_test(TABLE + THEOREM_2)
+test_drawn_models = sampled_test(TABLE + INTERVALS + THEOREM_2, drawn_deterministic())
+test_wrong_variants = teeth_test(TABLE + THEOREM_2)
+test_counterexamples = counterexample_test(THEOREM_2)
 test_wrong_intervals = teeth_test(INTERVALS, lambda: small_cases()[:5])
 
 

@@ -54,7 +54,7 @@ ROWS = (
         check=check_definition_2,
         mutants={"dead if one path fails": DEAD_IF_ONE_PATH_FAILS},
         rests_on="deterministic",
-        kernel=("Partition",),
+        kernel=("Partition", "MemorylessDead"),
     ),
     Row(
         name="assumption-1",

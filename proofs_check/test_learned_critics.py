@@ -126,6 +126,7 @@ ROWS = (
         check=check_gate_needed,
         mutants={"epsilon one power too small": EPSILON_TOO_SMALL},
         rests_on="deterministic, base convention; some safe state has an unsafe successor",
+        kernel=("Learned",),
     ),
     Row(
         name="learned-recovery",

@@ -118,7 +118,7 @@ BOTH = (
             "stopped early": STOPPED_EARLY,
             "stopped early from above": STOPPED_EARLY_FROM_ABOVE,
         },
-        kernel=("Optimal_exists",),
+        kernel=("Value_exists", "Optimal_exists"),
     ),
 )
 ITERATION = (

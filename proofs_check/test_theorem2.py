@@ -8,7 +8,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from dead_ends.conventions import CriticConvention, ValueConvention
 from dead_ends.statements import (
     boundary_exact,
     corrected_loop,
@@ -38,7 +37,6 @@ from proofs_check.implementation import (
     HORIZON_TOO_LONG,
     HORIZON_TOO_SHORT,
     LIBRARY,
-    LOSS_TARGET,
     MAX_RECOVERY,
     NOT_STRICT,
     NOTHING_ALLOWED,
@@ -181,49 +179,6 @@ def check_untouched(implementation: Implementation, case: Case) -> Finding:
     return finding(case, stays & corrected, stays & leaving_possible(case))
 
 
-def check_convention(
-    implementation: Implementation,
-    case: Case,
-    value: ValueConvention,
-    critic: CriticConvention,
-) -> Mask:
-    """(S, A) Unsafe actions that pass eps = gamma^H in another convention."""
-    _, Q = best(implementation, case, value=value, critic=critic)
-    mask = allowed(implementation, case, Q, horizon_thresholds(implementation, case))
-    return unsafe_allowed(case.model, case.safe, mask)
-
-
-def check_proof_convention(implementation: Implementation, case: Case) -> Finding:
-    """Q = gamma V(s') with V(fail) = 1, as in the proof of Theorem 2."""
-    wrong = check_convention(
-        implementation,
-        case,
-        ValueConvention.COST_FAIL_1,
-        CriticConvention.DISCOUNTED_NEXT_VALUE,
-    )
-    return finding(case, wrong, leaving_possible(case))
-
-
-def check_proof_convention_with_dead(implementation: Implementation, case: Case) -> Finding:
-    """The same where S_dead is not empty, so that H >= 1."""
-    met = case.any_of(case.dead)
-    wrong = check_convention(
-        implementation,
-        case,
-        ValueConvention.COST_FAIL_1,
-        CriticConvention.DISCOUNTED_NEXT_VALUE,
-    )
-    return finding(case, case.any_of(wrong) & met, met & leaving_possible(case))
-
-
-def check_literal(implementation: Implementation, case: Case) -> Finding:
-    """Q = V(s') with V(fail) = 0: the equations of the Preliminary as they stand."""
-    wrong = check_convention(
-        implementation, case, ValueConvention.COST_FAIL_0, CriticConvention.NEXT_VALUE
-    )
-    return finding(case, wrong, leaving_possible(case))
-
-
 SOUND = {
     "epsilon one power too large": EPSILON_TOO_LARGE,
     "H off by one": HORIZON_TOO_SHORT,
@@ -342,42 +297,6 @@ ROWS = (
         },
         rests_on=REACH,
         kernel=("Exactness",),
-    ),
-    Row(
-        name="theorem-2-proof-convention",
-        place="Theorem 2, its proof (Q = gamma V(s'), V(fail) = 1)",
-        claim="In the convention of its proof, with eps = gamma^H, no allowed action leaves "
-        "S_safe.",
-        check=check_proof_convention,
-        holds=False,
-        mutants={
-            "target of the loss": LOSS_TARGET,
-            "epsilon two powers smaller": EPSILON_TOO_SMALL,
-        },
-        rests_on="deterministic; V(fail) = 1, Q = gamma V(s')",
-        because="There is no dead-end, so H = 0 and eps = 1; the action that enters fail has "
-        "Q = gamma V(fail) = gamma < 1 and is allowed.",
-    ),
-    Row(
-        name="theorem-2-proof-convention-repaired",
-        place="Theorem 2, its proof (Q = gamma V(s'), V(fail) = 1)",
-        claim="In the convention of its proof, with eps = gamma^H, no allowed action leaves "
-        "S_safe if there is a dead state.",
-        check=check_proof_convention_with_dead,
-        mutants={"epsilon one power too large": EPSILON_TOO_LARGE, "not strict": NOT_STRICT},
-        rests_on="deterministic; V(fail) = 1, Q = gamma V(s'); S_dead not empty",
-    ),
-    Row(
-        name="theorem-2-literal",
-        place="Theorem 2 with Eqs. state_cost_function and action_cost_function",
-        claim="By the Preliminary's equations, with eps = gamma^H, no allowed action leaves "
-        "S_safe.",
-        check=check_literal,
-        holds=False,
-        mutants={"target of the loss": LOSS_TARGET},
-        rests_on="deterministic; V(fail) = 0, Q = V(s')",
-        because="Q = V(fail) = 0 for the action that enters fail: the agent is let straight into "
-        "the violation.",
     ),
 )
 PATHS = Row(
