@@ -75,7 +75,7 @@ def boundary_figure(answer: ExactAnswer, filters: Mapping[str, Sequence[SafetyFi
     """One panel a method: the learned boundaries of all seeds over the exact sets."""
     columns = min(len(filters), 3)
     rows = -(-len(filters) // columns)
-    figure = Figure(figsize=(3.6 * columns, 3.0 * rows), layout="constrained")
+    figure = Figure(figsize=(max(3.6 * columns, 5.5), 3.0 * rows), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     for axes, (method, trained) in zip(grid.flat, filters.items(), strict=False):
         epsilon, gamma = trained[0].threshold, trained[0].gamma_safe

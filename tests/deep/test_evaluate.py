@@ -30,6 +30,7 @@ from deep.evaluate import (
 from deep.exact_answers import (
     ExactAnswer,
     exact_answer,
+    oracle_allows,
     oracle_blocks,
     tabular_brake_dead,
     tabular_double_integrator,
@@ -106,6 +107,17 @@ def test_the_dubins_car_is_enclosed() -> None:
     assert alive[False].all()
     if depth == answer.horizon:
         assert not alive[True].any()
+    # A certainly safe state has a command to a certainly safe state: no failure, for ever.
+    state = points.state[~points.dead]
+    for _ in range(50):
+        allowed = [
+            oracle_allows(answer, state, np.full((len(state), 1), a)) for a in points.action[:, 0]
+        ]
+        assert np.any(allowed, axis=0).all()
+        action = points.action[np.argmax(allowed, axis=0)]
+        step = task.step(state, action, rng)
+        assert not step.violation.any()
+        state = step.next_state
     with pytest.raises(ValueError, match="the square's side 6.5 is no whole number"):
         exact_answer(Dubins(half_width=3.25))
 
