@@ -131,7 +131,8 @@ def draw(row: Row, case: Case) -> Figure:
     model = named(case)
     position = _positions(case)
     width = max(x for x, _ in position) + 2.0
-    height = max(y for _, y in position) - min(y for _, y in position) + 2.0
+    lowest = min(y for _, y in position)
+    height = 1.5 - lowest
     claim = textwrap.wrap(f"Refuted: {row.claim}", 78)
     reason = textwrap.wrap(row.because, 84)
     text_height = 0.22 * (len(claim) + len(reason)) + 0.75
@@ -144,8 +145,7 @@ def draw(row: Row, case: Case) -> Figure:
     for state, action, successor, label in _edges(model):
         _draw_edge(axes, position, state, action, successor, label)
     axes.set_xlim(-1.0, width - 1.0)
-    lowest = min(y for _, y in position)
-    axes.set_ylim(lowest - 0.9, lowest + height - 0.9 + 0.3)
+    axes.set_ylim(lowest - 0.55, 0.95)
     axes.set_aspect("equal")
     axes.axis("off")
     figure.text(0.03, 0.985, "\n".join(claim), va="top", fontsize=10.5, weight="bold")
@@ -215,7 +215,10 @@ def _draw_state(axes: Any, model: SafeMDP, case: Case, state: int, x: float, y: 
     axes.text(x, y, str(state), ha="center", va="center", fontsize=10, color=color, zorder=4)
     time = rest.partition(", ")[2]
     caption = f"{label.name} {time}".replace("_", " ").strip() if kind else ""
-    axes.text(x, y - RADIUS - 0.07, caption, ha="center", va="top", fontsize=8, zorder=4)
+    behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
+    axes.text(
+        x, y - RADIUS - 0.07, caption, ha="center", va="top", fontsize=8, zorder=4, bbox=behind
+    )
 
 
 def _draw_edge(
@@ -241,11 +244,11 @@ def _draw_edge(
         start, end = (x - reach, y + RADIUS * 0.9), (x + reach, y + RADIUS * 0.9)
         arc = f"arc3,rad={-1.6 - 0.2 * action}"
         axes.add_patch(FancyArrowPatch(start, end, connectionstyle=arc, **common))
-        axes.text(x, y + RADIUS + 0.42 + 0.16 * action, label, ha="center", fontsize=9, color=color)
+        _label(axes, x, y + RADIUS + 0.25 + 0.22 * action, label, color)
         return
     bend = 0.12 + 0.16 * action
-    if abs(u - x) > 2.5:  # over the states between, not through them
-        bend = -0.25 - 0.1 * action
+    if abs(u - x) > 2.5 and y == v:  # over the states between, not through them
+        bend = -0.38 - 0.08 * action
     axes.add_patch(
         FancyArrowPatch(
             (x, y),
@@ -258,13 +261,11 @@ def _draw_edge(
     )
     # The middle of the bent arrow lies off the straight line by half of its bend.
     middle = ((x + u) / 2 + (v - y) * bend / 2, (y + v) / 2 - (u - x) * bend / 2)
+    _label(axes, *middle, label, color)
+
+
+def _label(axes: Any, x: float, y: float, label: str, color: str) -> None:
+    """A probability beside its arrow."""
     if label:
-        axes.text(
-            *middle,
-            label,
-            ha="center",
-            va="center",
-            fontsize=9,
-            color=color,
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1},
-        )
+        behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
+        axes.text(x, y, label, ha="center", va="center", fontsize=9, color=color, bbox=behind)

@@ -101,11 +101,11 @@ def with_data(case: Case, gamma: float | Fraction, share: Fraction) -> Case:
 
 @lru_cache(maxsize=1)
 def uniform_data() -> Sequence[Case]:
-    """Every class with n <= 4, m = 2; half of the data take a0, half a1."""
+    """Every class with n <= 3, m = 2; half of the data take a0, half a1."""
     return tuple(
         with_data(case, Fraction(1, 2), Fraction(1, 2))
         for case in small_cases()
-        if case.model.num_actions == 2 and case.states <= 4
+        if case.model.num_actions == 2 and case.states <= 3
     )
 
 
@@ -187,8 +187,8 @@ test_wrong_gate_and_recovery = teeth_test(LOST, skewed_data)
 test_counterexamples = counterexample_test(LOST, skewed_data)
 
 
-def test_uniform_data_on_every_model_with_four_states(record: Recorder) -> None:
-    """Every model with n <= 4, m = 2, exactly."""
+def test_uniform_data_on_every_model_with_three_states(record: Recorder) -> None:
+    """Every model with n <= 3, m = 2, exactly."""
     for row in SOUND:
         total = run(row, LIBRARY, iter(uniform_data()))
         record(row, Means.EXHAUSTIVE, total)

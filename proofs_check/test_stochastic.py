@@ -237,8 +237,8 @@ FALSE = (
         holds=False,
         mutants={"undiscounted": GAMMA_ONE},
         rests_on=DEAD_IS_D,
-        because="The dead state fails late and is discounted; the state at risk fails at once or "
-        "not at all. Its V* is as large or larger, although it may escape.",
+        because="The dead state fails late and is discounted; the state at risk fails soon or "
+        "never. Its V* is as large or larger, although it may escape.",
     ),
     Row(
         name="stochastic-theorem-2",
