@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dead_ends.animation import Run, animate_runs
 from dead_ends.bellman import evaluate_policy, value_iteration
 from dead_ends.conventions import CriticConvention, ValueConvention
 from dead_ends.envs.brake import (
@@ -40,7 +41,7 @@ from dead_ends.io.errors import located
 from dead_ends.labels import classify, safe_actions
 from dead_ends.methods import conservatism
 from dead_ends.model import SafeMDP
-from dead_ends.plot import Blocked, Boundary, Run, animate_runs, plot_boundaries, plot_map
+from dead_ends.plot import Blocked, Boundary, plot_boundaries, plot_map
 from dead_ends.policies import allowed_actions, greedy_actions, recovery_policy
 from dead_ends.policy_input import as_distribution
 from dead_ends.results import Label, Labelling, Values

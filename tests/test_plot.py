@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from dead_ends import Geometry, SafeMDP, classify
+from dead_ends.animation import Run, animate_runs
 from dead_ends.envs.brake import BrakeLattice, brake
-from dead_ends.plot import Blocked, Boundary, Run, animate_runs, plot_boundaries, plot_map
+from dead_ends.plot import Blocked, Boundary, plot_boundaries, plot_map
 from dead_ends.results import Label
 
 
