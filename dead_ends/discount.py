@@ -93,12 +93,18 @@ def power_table(
     The bounds enclose g**n for every real g that rounds to gamma; gamma = 1 means 1. For a
     Fraction all three are exact.
     """
-    unique, index = np.unique(exponents, return_inverse=True)
-    triples = [_enclosed_power(gamma, int(n)) for n in unique]
+    finite = exponents[exponents != INFINITE]
+    never = int(finite.max(initial=-1)) + 1  # the place of gamma**INFINITE in the table
+    place = np.minimum(exponents, never)
+    used = np.zeros(never + 1, dtype=np.bool_)
+    used[place] = True
     kind = object if isinstance(gamma, Fraction) else np.float64
-    estimate, lower, upper = (
-        np.array([triple[i] for triple in triples], dtype=kind)[index] for i in range(3)
-    )
+    tables = tuple(np.zeros(never + 1, dtype=kind) for _ in range(3))
+    for n in np.flatnonzero(used):
+        powers = _enclosed_power(gamma, INFINITE if n == never else int(n))
+        for table, value in zip(tables, powers, strict=True):
+            table[n] = value
+    estimate, lower, upper = (table[place] for table in tables)
     return estimate, lower, upper
 
 

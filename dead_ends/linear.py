@@ -5,9 +5,8 @@ Nothing here is trusted: what is built on these solutions is verified with outwa
 
 * sparse elimination, state by state where time runs one way (a car that nears an obstacle):
   in the order of the strong components next to nothing fills in; else where the graph is
-  narrow enough. Without pivoting it adds, multiplies
-  and divides non-negative numbers except on the diagonal, so that small components have
-  small relative errors too;
+  narrow enough. Without pivoting it adds, multiplies and divides non-negative numbers except
+  on the diagonal, so that small components have small relative errors too;
 * Krylov iterations, where the chain mixes fast. Errors are small against the largest
   component.
 

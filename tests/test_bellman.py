@@ -220,6 +220,24 @@ def test_bounds_enclose_the_exact_answer(gamma: float) -> None:
         assert_brackets(floats, evaluate_policy(model, policy, as_fraction(gamma)))
 
 
+def test_rounding_of_mixed_rows_is_enclosed() -> None:
+    """A policy's row is a sum over many actions, each with its own rounding errors."""
+    rng = np.random.default_rng(10)
+    count = 60
+    for _ in range(20):
+        parts = rng.integers(1, 10**12, count)
+        policy = np.full((3, count), Fraction(0), dtype=object)
+        policy[0] = [Fraction(int(part), int(parts.sum())) for part in parts]
+        P = np.full((3, count, 3), Fraction(0), dtype=object)
+        for action in range(count):
+            p = Fraction(int(rng.integers(1, 10**12)), 10**12)
+            P[0, action, 1], P[0, action, 2] = 1 - p, p
+        states = np.arange(3)
+        model = SafeMDP.stochastic(P, states == 2, terminal=states == 1)
+        floats = evaluate_policy(rounded(model), policy.astype(float), 0.9)
+        assert_brackets(floats, evaluate_policy(model, policy, Fraction(9, 10)), width=1e-13)
+
+
 # Conventions
 
 

@@ -134,6 +134,15 @@ def test_singular_systems_have_no_guess() -> None:
     assert LinearSolver(identity).carefully(identity, np.ones(3), np.zeros(3)) is None
 
 
+def test_krylov_iterations_admit_defeat() -> None:
+    """On a walk of 10^8 steps fifty directions are not enough."""
+    model = walk(20_000, 0.5)
+    matrix = sparse.csr_array(model.transitions()[1:-1, 1:-1])
+    constant = np.zeros(len(model.fail) - 2)
+    constant[0] = 0.5
+    assert linear._krylov(matrix, constant, np.zeros_like(constant)) is None
+
+
 def test_a_hundred_thousand_states() -> None:
     values = value_iteration(walk(100_000, 0.49), 0.999)
     assert (values.V_upper - values.V_lower).max() < 1e-11

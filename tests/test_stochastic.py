@@ -58,6 +58,24 @@ def test_lifegate_dead_ends_are_survived_for_their_distance_over_the_push() -> N
     assert survival.horizon == 4 / Fraction(7, 10)
 
 
+def test_the_slower_way_counts() -> None:
+    """From 0 to 1 at once, or with probability 1/10; 1 fails with 1/2, or with 1/5."""
+    P = np.full((3, 2, 3), Fraction(0), dtype=object)
+    for s, a, p in (
+        (0, 0, 1),
+        (0, 1, Fraction(1, 10)),
+        (1, 0, Fraction(1, 2)),
+        (1, 1, Fraction(1, 5)),
+    ):
+        P[s, a, s + 1], P[s, a, s] = Fraction(p), 1 - Fraction(p)
+    model = SafeMDP.stochastic(P, np.array([False, False, True]))
+    assert list(expected_survival(model, exact=True).time) == [15, 5, 0]
+    floats = expected_survival(rounded(model))
+    assert (floats.lower <= [15, 5, 0]).all()
+    assert (floats.upper >= [15, 5, 0]).all()
+    np.testing.assert_allclose(floats.time, [15, 5, 0], rtol=1e-12)
+
+
 def test_expected_survival_is_the_greatest_over_all_policies() -> None:
     rng = np.random.default_rng(1)
     dead = 0
