@@ -50,7 +50,7 @@ def load_with_storm(
             options = stormpy.io.DirectEncodingExporterOptions()
             options.output_precision = ALL_DIGITS
             stormpy.io.export_to_drn(model, str(built), options=options)
-        except RuntimeError as error:
+        except (RuntimeError, stormpy.exceptions.StormError) as error:
             raise ValueError(str(error)) from None
         return explicit_model(read_drn(built), failure or Failure())
 

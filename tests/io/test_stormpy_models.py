@@ -74,6 +74,10 @@ class TestWithStorm:
         assert model.num_states == 5
         assert model.fail.sum() == 1
 
+    def test_missing_constants_name_the_file(self, program: Path) -> None:
+        with pytest.raises(ValueError, match=r"robot\.nm: Model .* undefined constants"):
+            load_model(program, fail_label="pit")
+
     def _drn(self, program: Path, folder: Path) -> Path:
         save_model(folder / "a.drn", load_model(program, fail_label="pit", constants="N=4"))
         return folder / "a.drn"
