@@ -58,8 +58,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return BROKEN_PIPE
     except KeyboardInterrupt:
         return INTERRUPTED
-    except MemoryError:
-        return _complain("not enough memory for this model")
+    except MemoryError as error:
+        return _complain(str(error) or "not enough memory for this model")
     except OSError as error:
         path = error.filename2 or error.filename  # of a renaming, the target
         return _complain(f"{path}: {error.strerror}" if path else str(error))

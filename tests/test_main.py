@@ -356,6 +356,7 @@ def test_without_gymnasium(
     [
         (KeyboardInterrupt(), 130, ""),
         (MemoryError(), 2, "dead-ends: not enough memory for this model\n"),
+        (MemoryError("labelling needs 9 GiB"), 2, "dead-ends: labelling needs 9 GiB\n"),
         (OSError("the disk is gone"), 2, "dead-ends: the disk is gone\n"),
     ],
 )

@@ -32,11 +32,15 @@ from dead_ends.io.explicit import (
     read_states,
 )
 from dead_ends.io.tokens import Tokens
+from dead_ends.memory import require_memory
 from dead_ends.model import SafeMDP
 
 __all__ = ["load_prism", "save_prism"]
 
 _LABEL = re.compile(r'(\d+)="([^"]*)"')
+STATE_BYTES = 80
+"""What a state costs at least: a first line may announce billions that do not follow."""
+
 _NAMES_HEADER = "(name)"
 """The header of our own .sta files: one variable, whose values are the states' names."""
 
@@ -47,6 +51,7 @@ def load_prism(path: str | os.PathLike[str], failure: Failure | None = None) -> 
     Raises:
         ValueError: naming the file and line at fault.
         OSError: if there is no such file.
+        MemoryError: if the first line announces more states than fit the memory.
     """
     explicit = _read_transitions(Tokens(path))
     labels, names = Path(path).with_suffix(".lab"), Path(path).with_suffix(".sta")
@@ -101,6 +106,7 @@ def _read_transitions(tokens: Tokens) -> Explicit:
         )
     sizes = tokens.integers(header, "a number of states, choices or transitions").tolist()
     is_mdp, num_states = len(header) == 3, sizes[0]
+    require_memory(STATE_BYTES * num_states, f"{tokens.path}: a model of {num_states:,} states")
     lines, first = lines[1:], first[1:]
     width = 4 if is_mdp else 3
     counts = tokens.counts[lines]

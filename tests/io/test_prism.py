@@ -249,6 +249,15 @@ def test_bad_states(old: str, new: str, message: str, tmp_path: Path) -> None:
     assert str(caught.value).startswith(str(path.with_suffix(".sta")))
 
 
+def test_more_states_than_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before any table of that size is made."""
+    monkeypatch.setattr("dead_ends.memory.available_memory", lambda: 4 << 30)
+    path = tmp_path / "model.tra"
+    path.write_text("2000000000 1 1\n0 0 0 1\n")
+    with pytest.raises(MemoryError, match=r"model\.tra: a model of 2,000,000,000 states needs 149"):
+        load_prism(path)
+
+
 def test_missing_files(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         load_model(tmp_path / "absent.tra")
