@@ -57,6 +57,13 @@ _NAMES = {
         "recovery_policy",
     ),
     "results": ("INFINITE", "Label", "Labelling", "Values"),
+    "stochastic": (
+        "EpisodeGuarantee",
+        "ExpectedSurvival",
+        "episode_guarantee",
+        "expected_survival",
+        "one_step_risk",
+    ),
     "thresholds": ("ThresholdInterval", "threshold_interval"),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
@@ -109,6 +116,11 @@ if TYPE_CHECKING:
     from dead_ends.results import Label as Label
     from dead_ends.results import Labelling as Labelling
     from dead_ends.results import Values as Values
+    from dead_ends.stochastic import EpisodeGuarantee as EpisodeGuarantee
+    from dead_ends.stochastic import ExpectedSurvival as ExpectedSurvival
+    from dead_ends.stochastic import episode_guarantee as episode_guarantee
+    from dead_ends.stochastic import expected_survival as expected_survival
+    from dead_ends.stochastic import one_step_risk as one_step_risk
     from dead_ends.thresholds import ThresholdInterval as ThresholdInterval
     from dead_ends.thresholds import threshold_interval as threshold_interval
 
