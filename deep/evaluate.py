@@ -68,12 +68,12 @@ class OracleGate:
     task: ExactTask
 
     def critic(self, state: Floats, action: Actions) -> NDArray[np.floating]:
-        """1 for actions that leave the safe set."""
-        return oracle_blocks(self.answer, state, action).astype(np.float32)
+        """1 for actions that may leave the safe set."""
+        return (~oracle_allows(self.answer, state, action)).astype(np.float32)
 
     def correct(self, state: Floats, action: Actions) -> tuple[Actions, Bools]:
-        """Replace exactly the unsafe actions, by the safest one."""
-        blocked = oracle_blocks(self.answer, state, action)
+        """Replace exactly the actions that may leave the safe set, by the safest one."""
+        blocked = ~oracle_allows(self.answer, state, action)
         safest = self.task.safest_action(state)
         return np.where(blocked[:, None], safest, action), blocked
 
@@ -83,7 +83,7 @@ class Points:
     """States to score on, and what is true of them; fixed before anything is trained.
 
     Attributes:
-        state: float (N, d), uniform over the task's box; violations, and states of which
+        state: float (N, d), uniform over the task's region; violations, and states of which
             nothing is certain, are left out.
         gap: the share of the latter among the states that are no violations.
         dead: bool (N,); the others are safe.
@@ -113,15 +113,16 @@ def action_grid(action_dim: int, count: int) -> Floats:
 def box_points(
     answer: ExactAnswer, count: int, actions: int, near: float, rng: np.random.Generator
 ) -> Points:
-    """Uniform points of the task's box; ``near`` is a share of its first side."""
+    """Uniform points of the task's region; ``near`` is a share of its first side."""
     task = answer.task
-    state = rng.uniform(task.low, task.high, (count, len(task.low)))
+    low, high = task.region
+    state = rng.uniform(low, high, (count, len(low)))
     state = state[~inside_any(task.obstacles, task.position(state))]
     certain = answer.dead(state) | answer.safe(state)
     gap, state = float(1 - certain.mean()), state[certain]
     action = action_grid(task.action_dim, actions)
     repeated = [np.broadcast_to(a, (len(state), len(a))) for a in action]
-    width = near * (task.high[0] - task.low[0])
+    width = near * (high[0] - low[0])
     distance = answer.boundary_distance
     return Points(
         state,

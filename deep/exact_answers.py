@@ -2,7 +2,7 @@
 
 Brake and the double integrator have a closed form, in their own modules; here it is
 also confronted with the tabular twins of ``dead_ends``. The Dubins car is enclosed by two
-models of ``dead_ends``. Nothing here enters data,
+models of ``dead_ends``. The two Navigation tasks have no dead-ends. Nothing here enters data,
 training, model selection or thresholds, except the number H.
 """
 
@@ -19,7 +19,7 @@ from dead_ends.envs.brake import BrakeLattice, brake
 from dead_ends.envs.double_integrator import double_integrator
 from dead_ends.envs.dubins import dubins
 from dead_ends.labels import classify
-from deep.tasks import Brake, DoubleIntegrator, Dubins, Task
+from deep.tasks import Brake, DoubleIntegrator, Dubins, Navigation, Task
 from deep.tasks.shapes import inside_any
 from deep.tasks.task import Bools, Floats
 
@@ -33,7 +33,8 @@ __all__ = [
     "tabular_double_integrator",
 ]
 
-ExactTask: TypeAlias = Brake | DoubleIntegrator
+ClosedFormTask: TypeAlias = Brake | DoubleIntegrator
+ExactTask: TypeAlias = ClosedFormTask | Navigation
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class ExactAnswer:
         dead, safe: states (n, d) -> bool (n,), certainly dead, certainly safe. Where the
             answer is in closed form, each state that is no violation is one of them.
         boundary_distance: states -> float (n,), along the first coordinate; None for
-            enclosed tasks.
+            enclosed tasks and where no state is dead.
     """
 
     task: Task
@@ -67,14 +68,28 @@ def exact_answer(task: Task) -> ExactAnswer:
             return _closed_form(task)
         case Dubins():
             return _enclosed_dubins(task)
+        case Navigation():
+            return _without_dead_ends(task)
         case _:
             raise ValueError(
-                f"{task.name}: there is no exact answer; brake, double-integrator and dubins "
-                "have one"
+                f"{task.name}: there is no exact answer; brake, double-integrator, dubins, "
+                "navigation1 and navigation2 have one"
             )
 
 
-def _closed_form(task: ExactTask) -> ExactAnswer:
+def _without_dead_ends(task: Navigation) -> ExactAnswer:
+    """Every state outside the obstacles is safe: H = 0."""
+
+    def dead(state: Floats) -> Bools:
+        return np.zeros(len(state), dtype=np.bool_)
+
+    def safe(state: Floats) -> Bools:
+        return ~inside_any(task.obstacles, state)
+
+    return ExactAnswer(task, 0, dead, safe, None)
+
+
+def _closed_form(task: ClosedFormTask) -> ExactAnswer:
     def safe(state: Floats) -> Bools:
         return np.asarray(task.survival_time(state) == -1)
 
@@ -115,14 +130,18 @@ def _enclosed_dubins(task: Dubins) -> ExactAnswer:
 def oracle_blocks(answer: ExactAnswer, state: Floats, action: NDArray[np.floating]) -> Bools:
     """bool (n,): whether the action certainly leads to a dead state or a violation.
 
-    The tasks with an exact answer are deterministic: no generator is consulted.
+    All but Navigation are deterministic: no generator is consulted.
     """
+    if isinstance(answer.task, Navigation):
+        return answer.task.enters(state, action)
     step = answer.task.step(state, action, np.random.default_rng(0))
     return step.violation | answer.dead(step.next_state)
 
 
 def oracle_allows(answer: ExactAnswer, state: Floats, action: NDArray[np.floating]) -> Bools:
     """bool (n,): whether the action certainly leads to a safe state."""
+    if isinstance(answer.task, Navigation):
+        return answer.task.misses(state, action)
     step = answer.task.step(state, action, np.random.default_rng(0))
     return ~step.violation & answer.safe(step.next_state)
 

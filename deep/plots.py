@@ -29,7 +29,7 @@ LEARNED = "#1f4e9c"
 
 def _box_grid(answer: ExactAnswer) -> tuple[Floats, Floats, Floats]:
     """Axes of a grid over the first two coordinates, and its points; the others are 0."""
-    low, high = answer.task.low, answer.task.high
+    low, high = answer.task.region
     x, y = (np.linspace(a, b, CELLS) for a, b in zip(low[:2], high[:2], strict=True))
     points = np.zeros((CELLS**2, len(low)))
     points[:, :2] = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

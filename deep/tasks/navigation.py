@@ -3,9 +3,16 @@
     s' = s + u + 0.05 N(0, I),   u in [-1, 1]^2,   violation iff s' lies in an obstacle,
 
 reward -||s|| of the state before the step, success once ||s|| < 4 before the step, at
-most 100 steps from (-50, 0) + N(0, I). A point that can stop has essentially no
-dead-ends: the negative control, where a critic of dead-ends should forbid next to nothing
-beyond the last step before an obstacle.
+most 100 steps from (-50, 0) + N(0, I). A point that can stop has no dead-ends: the negative
+control, where a critic of dead-ends should forbid nothing but the last step before an
+obstacle.
+
+What "no dead-ends" means: unbounded noise hits an obstacle sooner or later whatever the
+agent does, so let the noise be cut off at ``NOISE_BOUND``, six standard deviations (a
+coordinate of a step is beyond with probability 2e-9). An action is then fine iff the
+square of half-width ``NOISE_BOUND`` around s + u misses every obstacle, unsafe iff an
+obstacle holds all of it. From each state outside the obstacles ``safest_action`` is fine,
+as no two of them face each other within 3 units: all of them are safe.
 """
 
 from __future__ import annotations
@@ -17,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deep.tasks.shapes import Disc, Rectangle, inside_any, nearest_point
-from deep.tasks.task import Floats, Step, Task, clip_action
+from deep.tasks.task import Bools, Floats, Step, Task, clip_action
 
 __all__ = ["Navigation", "navigation1", "navigation2"]
 
@@ -31,6 +38,9 @@ START = (-50.0, 0.0)
 START_NOISE = 1.0
 STEP_NOISE = 0.05
 GOAL_RADIUS = 4.0
+NOISE_BOUND = 6 * STEP_NOISE
+FULL_STEP = 1.0 + 2 * NOISE_BOUND
+"""Beyond this distance an obstacle cannot be hit in the next step."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +95,11 @@ class Navigation(Task):
         return (-90.0, 30.0, -30.0, 30.0)
 
     @property
+    def region(self) -> tuple[Floats, Floats]:
+        """Around the way from start to goal, where walks meet the obstacles."""
+        return np.array([-60.0, -15.0]), np.array([10.0, 15.0])
+
+    @property
     def obstacles(self) -> tuple[Rectangle, ...]:
         """The rectangles."""
         return self.rectangles
@@ -102,6 +117,30 @@ class Navigation(Task):
         """A full step towards the nearest obstacle, by coordinate."""
         offset = nearest_point(self.obstacles, state) - state
         return np.asarray(offset / np.maximum(np.abs(offset).max(axis=1, keepdims=True), 1e-12))
+
+    def safest_action(self, state: Floats) -> Floats:
+        """A full step away from every obstacle within reach, by coordinate."""
+        away = np.zeros_like(state)
+        for rectangle in self.obstacles:
+            offset = state - rectangle.nearest(state)
+            within = np.abs(offset).max(axis=1, keepdims=True) <= FULL_STEP
+            away += np.where(within, np.sign(offset), 0.0)
+        return np.clip(away, -1.0, 1.0)
+
+    def misses(self, state: Floats, action: NDArray[np.floating]) -> Bools:
+        """bool (n,): whether no noise within its bound leads into an obstacle."""
+        return ~self._hits(state + clip_action(action), NOISE_BOUND)
+
+    def enters(self, state: Floats, action: NDArray[np.floating]) -> Bools:
+        """bool (n,): whether all noise within its bound leads into one obstacle."""
+        return self._hits(state + clip_action(action), -NOISE_BOUND)
+
+    def _hits(self, point: Floats, margin: float) -> Bools:
+        grown = tuple(
+            Rectangle(r.left - margin, r.right + margin, r.bottom - margin, r.top + margin)
+            for r in self.obstacles
+        )
+        return inside_any(grown, point)
 
 
 class Navigation1(Navigation):

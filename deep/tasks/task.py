@@ -71,6 +71,11 @@ class Task(ABC):
     def high(self) -> Floats:
         """float64 (state dim,): greatest value of each coordinate of a state."""
 
+    @property
+    def region(self) -> tuple[Floats, Floats]:
+        """Least and greatest corner of where states are drawn to score and to start anywhere."""
+        return self.low, self.high
+
     @abstractmethod
     def reset(self, rng: np.random.Generator, n: int) -> Floats:
         """First states (n, state dim); none of them is a fail state, some may be dead."""

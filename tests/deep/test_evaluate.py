@@ -37,7 +37,7 @@ from deep.exact_answers import (
 )
 from deep.plots import sweep_figure
 from deep.sweep import SweepScore, _runs
-from deep.tasks import Brake, DoubleIntegrator, Dubins, make_task
+from deep.tasks import Brake, DoubleIntegrator, Dubins, Navigation, make_task
 
 
 def _load(name: str) -> ModuleType:
@@ -120,6 +120,47 @@ def test_the_dubins_car_is_enclosed() -> None:
         state = step.next_state
     with pytest.raises(ValueError, match="the square's side 6.5 is no whole number"):
         exact_answer(Dubins(half_width=3.25))
+
+
+@pytest.mark.parametrize("name", ["navigation1", "navigation2"])
+def test_navigation_has_no_dead_ends(name: str) -> None:
+    task = make_task(name)
+    assert isinstance(task, Navigation)
+    answer = exact_answer(task)
+    rng = np.random.default_rng(0)
+    points = box_points(answer, 20_000, 3, 0.05, rng)
+    assert (answer.horizon, points.gap, points.dead.any()) == (0, 0, False)
+    assert oracle_allows(answer, points.state, task.safest_action(points.state)).all()
+    # The hardest places: just outside the corners and edges of each obstacle.
+    corners = [[x, y] for r in task.obstacles for x in (r.left, r.right) for y in (r.bottom, r.top)]
+    state = (np.array(corners)[:, None] + rng.uniform(-2, 2, (500, 2))).reshape(-1, 2)
+    state = np.clip(state, task.low, task.high)[answer.safe(state)]
+    assert oracle_allows(answer, state, task.safest_action(state)).all()
+    # Fine and unsafe are what a thousand draws say; in between, both happen.
+    state, action = state[:800], rng.uniform(-1, 1, (800, 2))
+    hits = sum(task.step(state, action, rng).violation.astype(int) for _ in range(1000))
+    fine, unsafe = oracle_allows(answer, state, action), oracle_blocks(answer, state, action)
+    assert not hits[fine].any()
+    assert (hits[unsafe] == 1000).all()
+    assert ((hits > 0) & (hits < 1000)).any()
+    assert unsafe.any()
+
+
+@pytest.mark.parametrize("name", ["navigation1", "navigation2"])
+def test_navigations_oracle_never_fails(name: str) -> None:
+    task = make_task(name)
+    assert isinstance(task, Navigation)
+    answer = exact_answer(task)
+    rng = np.random.default_rng(0)
+    gate, starts = OracleGate(answer, task), safe_starts(answer, 500, rng)
+    points = box_points(answer, 2000, 5, 0.05, rng)
+    score = score_boundary(critic_table(gate, points), 1.0, points)
+    assert score.safe_called_dead == score.safe_actions_blocked == 0
+    assert score.unsafe_actions_allowed == 0
+    assert np.isnan(score.dead_called_safe)
+    policy = towards_obstacle_policy(task)
+    assert closed_loop(task, gate, policy, starts, rng).failures == 0
+    assert closed_loop(task, None, policy, starts, rng).failures == 500
 
 
 def test_tasks_without_an_exact_answer_are_refused() -> None:
