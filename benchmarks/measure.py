@@ -18,7 +18,7 @@ from dead_ends.io.atomic import atomic_path
 
 Result = TypeVar("Result")
 RESULTS = Path(__file__).parent / "results"
-PACKAGES = ("numpy", "scipy", "numba", "stormpy", "quantecon")
+PACKAGES = ("numpy", "scipy", "numba", "stormpy", "quantecon", "hj-reachability", "jax")
 
 
 def best_time(call: Callable[[], Result], repeats: int = 3) -> tuple[float, Result]:
