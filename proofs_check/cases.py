@@ -220,12 +220,14 @@ def class_case(n: int, m: int) -> Case:
     return table_case(enumerate_models.tables(n, m, codes), sizes)
 
 
-def large_cases(size: int = 65_536) -> Iterator[Case]:
+@lru_cache(maxsize=1)
+def large_cases(size: int = 65_536) -> tuple[Case, ...]:
     """n = 6, m = 2: one model of each class, ``size`` at a time."""
     codes, sizes = enumerate_models.representatives(6, 2)
-    for start in range(0, len(codes), size):
-        part = slice(start, start + size)
-        yield table_case(enumerate_models.tables(6, 2, codes[part]), sizes[part])
+    return tuple(
+        table_case(enumerate_models.tables(6, 2, codes[part]), sizes[part])
+        for part in (slice(start, start + size) for start in range(0, len(codes), size))
+    )
 
 
 HALF = Fraction(1, 2)
