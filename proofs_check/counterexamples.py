@@ -17,10 +17,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch
 
+from dead_ends.cells import COLORS
 from dead_ends.io.atomic import atomic_path
 from dead_ends.io.npz import save_npz
 from dead_ends.model import SafeMDP
-from dead_ends.cells import COLORS
 from dead_ends.results import Label
 from proofs_check.cases import FOREVER, Case, exact_table
 from proofs_check.implementation import LIBRARY

@@ -133,7 +133,6 @@ SOUND = (
         check=check_fixed_point,
         mutants={"1 - tau for tau": EXPECTILE_UPSIDE_DOWN, "Q* for Q_tau": EXPECTILE_FROM_BEST},
         rests_on="deterministic, base convention; tau in {0.1, 0.3, 0.5, 0.9}",
-        kernel=("Expectile",),
     ),
     Row(
         name="expectile-above",
@@ -142,7 +141,6 @@ SOUND = (
         check=check_between,
         mutants={"1 - tau for tau": EXPECTILE_UPSIDE_DOWN, "max in the critic": WORST_CRITIC},
         rests_on="deterministic, base convention; tau in {0.1, 0.3, 0.5, 0.9}",
-        kernel=("Expectile",),
     ),
     Row(
         name="expectile-gate",

@@ -166,7 +166,6 @@ TRUE = (
         check=check_geometric_policy,
         mutants={"X of the best policy": EVALUATION_IS_BEST},
         rests_on="stochastic; undiscounted; any proposals, depending on the past; N <= 4",
-        kernel=("Geometric",),
     ),
 )
 

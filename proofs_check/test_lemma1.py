@@ -125,7 +125,6 @@ ROWS = (
         "V(fail) is 0 or 1.",
         check=check_fail_is_harmless,
         mutants={"Q = E V(s')": LITERAL_CRITIC},
-        kernel=("Lemma1_bullet1",),
     ),
     Row(
         name="lemma-1-dead",

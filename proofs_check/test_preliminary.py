@@ -82,7 +82,6 @@ DETERMINISTIC = (
         check=check_own_set,
         mutants={"not strict": NOT_STRICT, "epsilon one power too large": EPSILON_TOO_LARGE},
         rests_on="V = discounted cost on entering fail",
-        kernel=("Lemma1_bullet2",),
     ),
     Row(
         name="gamma-one-literal",

@@ -109,7 +109,7 @@ BOTH = (
         name="bellman-optimal",
         place="Recovery objective, 'equivalent to solving the optimal Bellman equation'",
         claim="The critic of the best recovery policy solves V = min_a Q; no policy does better, "
-        "in any state; the greedy policy attains it.",
+        "in any state; some policy attains it.",
         check=check_bellman,
         mutants={
             "max for min": MAX_RECOVERY,

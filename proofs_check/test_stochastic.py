@@ -31,6 +31,7 @@ from proofs_check.cases import (
     FOREVER,
     STOCHASTIC_SIZES,
     Case,
+    Mask,
     drawn_stochastic,
     stochastic_cases,
     stochastic_count,
@@ -146,17 +147,27 @@ def check_time_bound(implementation: Implementation, case: Case) -> Finding:
 
 def check_one_step(implementation: Implementation, case: Case) -> Finding:
     """P(enter D or fail) <= Q* / gamma^(H_E), Q* = E V(s')."""
-    V, _ = best(implementation, case, value=TIME)
-    lost = case.dead | case.fail
-    entering = transitions(case, np.where(lost, ONE, ZERO))
-    critic = transitions(case, V)
     horizon = case.of_models(np.where(case.dead, greatest_times(case), ZERO)).max(axis=1)
+    return one_step(implementation, case, case.dead, horizon)
+
+
+def check_one_step_sure(implementation: Implementation, case: Case) -> Finding:
+    """The same for the states all of whose paths fail, H their longest path."""
+    horizon = np.array([Fraction(int(h)) for h in case.horizon], dtype=object)
+    return one_step(implementation, case, case.sure, horizon)
+
+
+def one_step(implementation: Implementation, case: Case, dead: Mask, horizon: Table) -> Finding:
+    """Where an action of a state that is neither dead nor fail breaks the bound."""
+    V, _ = best(implementation, case, value=TIME)
+    entering = transitions(case, np.where(dead | case.fail, ONE, ZERO))
+    critic = transitions(case, V)
     wrong = np.zeros(entering.shape, dtype=np.bool_)
-    at = case.safe[:, None] & case.model.available
+    at = ~(dead | case.fail)[:, None] & case.model.available
     for each in set(horizon):
         chosen = case.spread(np.asarray(horizon == each, dtype=np.bool_))[:, None]
         wrong |= one_step_bound(entering, critic, Fraction(case.gamma), each, at & chosen)
-    return finding(case, wrong, case.dead)
+    return finding(case, wrong, dead)
 
 
 def least_positive(case: Case, Q: Table) -> list[Fraction]:
@@ -271,7 +282,8 @@ TRUE = (
     Row(
         name="stochastic-definition-2",
         place="Definition 2, Eq. eq_ssafe",
-        claim="Labels by P_min, found on the graph, agree with brute force; eq_ssafe holds.",
+        claim="P_min = 0 and P_min < 1 are properties of the graph: labels found on it agree with "
+        "brute force over policies.",
         check=check_labels,
         mutants={"dead: all paths fail": LABELS_SURE},
         rests_on="stochastic; dead: failure has probability 1 whatever is done",
@@ -301,14 +313,23 @@ TRUE = (
         "gamma^T, H_E = max E_max[T] over S_dead.",
         check=check_one_step,
         mutants={"discounted twice": DISCOUNTED_TWICE, "values not iterated": ZERO_VALUES},
-        rests_on="stochastic; kernel: the same with the longest path for H_E",
+        rests_on="stochastic; dead: failure has probability 1 whatever is done",
+    ),
+    Row(
+        name="stochastic-one-step-sure",
+        place="Theorem 2, one step",
+        claim="P(enter S_dead or S_fail | s, a) <= Q*(s, a) / gamma^H, H the longest path to fail "
+        "from a state all of whose paths fail.",
+        check=check_one_step_sure,
+        mutants={"discounted twice": DISCOUNTED_TWICE, "values not iterated": ZERO_VALUES},
+        rests_on="stochastic; dead: all paths fail; V = min E gamma^T",
         kernel=("OneStep",),
     ),
     Row(
         name="stochastic-zero-region",
         place="Theorem 2, exactness on Z = {P_min = 0}",
         claim="In Z, with 0 < eps <= eps_Z, an action is allowed exactly if all its successors "
-        "lie in Z; not so just above eps_Z.",
+        "lie in Z.",
         check=check_zero_region,
         mutants={
             "not strict": NOT_STRICT,

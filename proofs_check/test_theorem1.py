@@ -265,7 +265,7 @@ DETERMINISTIC = (
             "Q of one policy for Q*": BEST_IS_OF_FIRST_ACTIONS,
         },
         rests_on="deterministic, base convention, per action",
-        kernel=("Exactness",),
+        kernel=("Partition", "Exactness"),
     ),
     Row(
         name="self-reference",
