@@ -72,19 +72,10 @@ def sb3_policy(model: _Predictor, deterministic: bool = False) -> Policy:
 
 
 def uniform_starts(task: Task) -> Starts:
-    """First states uniform over the task's region, wherever its episodes begin.
-
-    States in an obstacle are drawn again; dead ones are not: labels enter no data.
+    """First states from everywhere but violations; dead ones are not left out: labels enter
+    no data.
     """
-    from deep.tasks.shapes import inside_any
-
-    def draw(rng: np.random.Generator, n: int) -> Floats:
-        state = rng.uniform(*task.region, (n, len(task.low)))
-        while (hit := inside_any(task.obstacles, task.position(state))).any():
-            state[hit] = rng.uniform(*task.region, (int(hit.sum()), len(task.low)))
-        return state
-
-    return draw
+    return task.anywhere
 
 
 def collect(

@@ -12,15 +12,20 @@ from deep.tasks.dubins import Dubins
 from deep.tasks.environment import TaskEnv, TaskVectorEnv
 from deep.tasks.navigation import Navigation, navigation1, navigation2
 from deep.tasks.point import PointAmongDiscs
+from deep.tasks.safety_gym.tasks import CarGoal1, DynamicEnv, PointGoal1, StaticEnv
 from deep.tasks.task import Step, Task
 
 __all__ = [
     "TASK_NAMES",
     "Brake",
+    "CarGoal1",
     "DoubleIntegrator",
     "Dubins",
+    "DynamicEnv",
     "Navigation",
     "PointAmongDiscs",
+    "PointGoal1",
+    "StaticEnv",
     "Step",
     "Task",
     "TaskEnv",
@@ -44,6 +49,10 @@ _BUILDERS: dict[str, Callable[[], Task]] = {
     "dubins": Dubins,
     "navigation1": navigation1,
     "navigation2": navigation2,
+    "static-env": StaticEnv,
+    "dynamic-env": DynamicEnv,
+    "point-goal1": PointGoal1,
+    "car-goal1": CarGoal1,
 }
 TASK_NAMES = tuple(_BUILDERS)
 
@@ -54,6 +63,10 @@ ENVIRONMENT_IDS = {
     "deep/Dubins-v0": "dubins",
     "deep/Navigation1-v0": "navigation1",
     "deep/Navigation2-v0": "navigation2",
+    "deep/StaticEnv-v0": "static-env",
+    "deep/DynamicEnv-v0": "dynamic-env",
+    "deep/PointGoal1-v0": "point-goal1",
+    "deep/CarGoal1-v0": "car-goal1",
 }
 
 

@@ -20,7 +20,8 @@ Image = NDArray[np.uint8]
 
 
 def _observation_space(task: Task) -> spaces.Space[NDArray[Any]]:
-    return spaces.Box(-1.0, 1.0, (task.observation_dim,), np.float32)
+    low, high = task.observation_low, task.observation_high
+    return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
 
 def _action_space(task: Task) -> spaces.Space[NDArray[Any]]:
@@ -139,5 +140,5 @@ class TaskVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             info |= {"final_obs": final, "_final_obs": done}
             self._states[done] = self.task.reset(self.np_random, int(done.sum()))
             self._steps[done] = 0
-            observations = self.task.observe(self._states)
+            observations[done] = self.task.observe(self._states[done])
         return observations, step.reward, terminated, truncated, info

@@ -15,16 +15,19 @@ DOT = 6
 BACKGROUND = (255, 255, 255)
 OBSTACLE = (190, 70, 60)
 GOAL = (90, 160, 90)
+OTHER = (150, 150, 150)
 AGENT = (30, 60, 120)
 
 
 def draw(task: Task, state: Floats) -> NDArray[np.uint8]:
-    """uint8 (height, width, 3): the states (n, state dim) as dots; y points upward."""
+    """uint8 (height, width, 3): states (n, state dim) as dots in the first one's scene; y up."""
     points = _pixel_positions(task)
     image = np.empty((*points.shape[:2], 3), dtype=np.uint8)
     image[:] = BACKGROUND
-    image[inside_any(task.goals, points)] = GOAL
-    image[inside_any(task.obstacles, points)] = OBSTACLE
+    scene = task.scene(state[0])
+    image[inside_any(scene.goals, points)] = GOAL
+    image[inside_any(scene.obstacles, points)] = OBSTACLE
+    image[inside_any(scene.others, points)] = OTHER
     radius = DOT * (task.view[1] - task.view[0]) / points.shape[1]
     dots = tuple(Disc(x, y, radius) for x, y in task.position(state))
     image[inside_any(dots, points)] = AGENT

@@ -16,9 +16,9 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deep.tasks.shapes import Shape
+from deep.tasks.shapes import Shape, inside_any
 
-__all__ = ["Bools", "Floats", "Observations", "Step", "Task"]
+__all__ = ["Bools", "Floats", "Observations", "Scene", "Step", "Task"]
 
 Floats = NDArray[np.float64]
 Observations = NDArray[np.float32]
@@ -39,6 +39,20 @@ class Step(NamedTuple):
     reward: Floats
     violation: Bools
     success: Bools
+
+
+class Scene(NamedTuple):
+    """What is drawn around the agent.
+
+    Attributes:
+        obstacles: what must not be hit.
+        goals: what is sought.
+        others: what does not matter.
+    """
+
+    obstacles: tuple[Shape, ...]
+    goals: tuple[Shape, ...]
+    others: tuple[Shape, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -84,8 +98,29 @@ class Task(ABC):
     def step(self, state: Floats, action: NDArray[np.floating], rng: np.random.Generator) -> Step:
         """Apply ``action`` (n, action dim) in ``state`` (n, state dim)."""
 
+    def anywhere(self, rng: np.random.Generator, n: int) -> Floats:
+        """States (n, state dim) uniform over :attr:`region` but for violations."""
+        state = rng.uniform(*self.region, (n, len(self.low)))
+        while (hit := self.violates(state)).any():
+            state[hit] = rng.uniform(*self.region, (int(hit.sum()), len(self.low)))
+        return state
+
+    def violates(self, state: Floats) -> Bools:
+        """bool (n,): which states are fail states."""
+        return inside_any(self.obstacles, self.position(state))
+
+    @property
+    def observation_low(self) -> Floats:
+        """float64 (observation dim,): least value of each coordinate of an observation."""
+        return np.full(self.observation_dim, -1.0)
+
+    @property
+    def observation_high(self) -> Floats:
+        """float64 (observation dim,): greatest value of each coordinate of an observation."""
+        return np.ones(self.observation_dim)
+
     def observe(self, state: Floats) -> Observations:
-        """float32 (n, observation dim), every coordinate in [-1, 1]: the scaled state."""
+        """float32 (n, observation dim): the state, scaled to [-1, 1]."""
         centre, half = (self.high + self.low) / 2, (self.high - self.low) / 2
         return np.asarray((state - centre) / half, dtype=np.float32)
 
@@ -97,12 +132,16 @@ class Task(ABC):
     @property
     @abstractmethod
     def obstacles(self) -> tuple[Shape, ...]:
-        """What must not be hit, in the plane of :meth:`position`."""
+        """What must not be hit in any state, in the plane of :meth:`position`."""
 
     @property
     def goals(self) -> tuple[Shape, ...]:
         """What is drawn as the goal."""
         return ()
+
+    def scene(self, state: Floats) -> Scene:  # noqa: ARG002  (the same around every state here)
+        """What is drawn around one state (state dim,)."""
+        return Scene(self.obstacles, self.goals)
 
     @abstractmethod
     def position(self, state: Floats) -> Floats:

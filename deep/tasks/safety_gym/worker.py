@@ -60,17 +60,17 @@ def remove_sky(world: Any) -> None:
 
 def add_tasks() -> None:
     """StaticEnv and DynamicEnv: the goal task with other hazards."""
-    tasks = import_module("safety_gymnasium.tasks")
-    geoms = import_module("safety_gymnasium.assets.geoms")
+    tasks: Any = import_module("safety_gymnasium.tasks")
+    geoms: Any = import_module("safety_gymnasium.assets.geoms")
 
-    class StaticLevel0(tasks.GoalLevel0):  # type: ignore[misc, name-defined]  # no types there
+    class StaticLevel0(tasks.GoalLevel0):  # type: ignore[misc]  # no types there
         def __init__(self, config: Any) -> None:
             super().__init__(config=config)
             self.placements_conf.extents = [-1.5, -1.5, 1.5, 1.5]
             self.goal.locations = [(1.1, 1.1)]
             self._add_geoms(geoms.Hazards(num=1, size=0.7, keepout=0.705, locations=[(0.0, 0.0)]))
 
-    class DynamicLevel0(tasks.GoalLevel0):  # type: ignore[misc, name-defined]  # no types there
+    class DynamicLevel0(tasks.GoalLevel0):  # type: ignore[misc]  # no types there
         def __init__(self, config: Any) -> None:
             super().__init__(config=config)
             self.placements_conf.extents = [-1.5, -1.5, 1.5, 1.5]
@@ -86,6 +86,11 @@ def prepare() -> None:
     import_module("safety_gymnasium")
     remove_sky(import_module("safety_gymnasium.world"))
     add_tasks()
+
+
+def _positions(task: Any) -> list[Any]:
+    vases = task.vases.pos if hasattr(task, "vases") else []
+    return [task.goal.pos, *task.hazards.pos, *vases]
 
 
 class Copies:
@@ -132,6 +137,17 @@ class Copies:
         """float (n, 3): x, y and heading of each robot."""
         agents = [copy.task.agent for copy in self.copies]
         return np.array([(*a.pos[:2], np.arctan2(a.mat[1, 0], a.mat[0, 0])) for a in agents])
+
+    def objects(self) -> Any:
+        """float (n, objects, 2): goal, hazards and vases of each copy."""
+        return np.array([[pos[:2] for pos in _positions(copy.task)] for copy in self.copies])
+
+    def lift(self, height: float) -> None:
+        """Raise every robot that can fall, at the beginning of its episode."""
+        for copy in self.copies:
+            data = copy.task.data
+            if copy.task.agent.body_info.nq > 3:
+                data.qpos[2] += height
 
     def render(self, index: int) -> Any:
         """The picture of one copy."""
