@@ -43,6 +43,7 @@ Floats = NDArray[np.float64]
 STEPS = 50
 HELD = 10
 DROP = 1e-4
+FIRST_TEST = "test-random"
 
 
 class Rollouts(NamedTuple):
@@ -101,6 +102,8 @@ def collect(folder: Path) -> None:
     for case in CASES:
         rng, seed = np.random.default_rng(0), 0
         for name, (count, hold) in SETS.items():
+            if name == FIRST_TEST:
+                rng, seed = np.random.default_rng(1), 10_000
             drawn = rng.uniform(-1, 1, (count, STEPS // hold, 2))
             actions = np.repeat(drawn, hold, axis=1)
             worker = Worker(f"{case.name}-alone", count)
