@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-__all__ = ["BatchedMLP", "Critic", "GaussianPolicy", "StateValue", "copy_slowly"]
+__all__ = ["ActionValue", "BatchedMLP", "Critic", "GaussianPolicy", "StateValue", "copy_slowly"]
 
 LOG_STD_RANGE = (-20.0, 2.0)
 
@@ -62,10 +62,10 @@ def _generators(seeds: Sequence[int], network: str, members: int) -> Iterator[np
             yield np.random.default_rng((seed, salt, member))
 
 
-class Critic(nn.Module):
-    """Q_c(s, a) of K seeds, each with an ensemble of ``members`` networks (twins: 2).
+class ActionValue(nn.Module):
+    """Q(s, a) of K seeds, each with an ensemble of ``members`` networks (twins: 2).
 
-    The output is a logit; its sigmoid is the critic, a discounted probability of failing.
+    The output is any real number: a task policy's return, or a logit (:class:`Critic`).
     """
 
     def __init__(
@@ -75,18 +75,42 @@ class Critic(nn.Module):
         action_dim: int,
         hidden: Sequence[int],
         members: int = 2,
+        name: str = "task critic",
     ) -> None:
         super().__init__()
         self.members = members
-        generators = list(_generators(seeds, "critic", members))
+        generators = list(_generators(seeds, name, members))
         self.mlp = BatchedMLP([observation_dim + action_dim, *hidden, 1], generators)
 
-    def logits(self, observation: Tensor, action: Tensor) -> Tensor:
+    def forward(self, observation: Tensor, action: Tensor) -> Tensor:
         """(K, B, o) and (K, B, a) -> (K, members, B)."""
         x = torch.cat([observation, action], dim=-1)
         repeated = x.repeat_interleave(self.members, dim=0)
         output: Tensor = self.mlp(repeated)
         return output.view(len(x), self.members, -1)
+
+    def least(self, observation: Tensor, action: Tensor) -> Tensor:
+        """(K, B): the smallest member's, against overestimation."""
+        values: Tensor = self(observation, action)
+        return values.amin(dim=1)
+
+
+class Critic(ActionValue):
+    """Q_c(s, a): the sigmoid of an action value, a discounted probability of failing."""
+
+    def __init__(
+        self,
+        seeds: Sequence[int],
+        observation_dim: int,
+        action_dim: int,
+        hidden: Sequence[int],
+        members: int = 2,
+    ) -> None:
+        super().__init__(seeds, observation_dim, action_dim, hidden, members, name="critic")
+
+    def logits(self, observation: Tensor, action: Tensor) -> Tensor:
+        """(K, B, o) and (K, B, a) -> (K, members, B), before the sigmoid."""
+        return super().forward(observation, action)
 
     def forward(self, observation: Tensor, action: Tensor) -> Tensor:
         """The values (K, members, B), in (0, 1)."""
@@ -112,7 +136,7 @@ class StateValue(nn.Module):
 
 
 class GaussianPolicy(nn.Module):
-    """A recovery policy of K seeds: tanh of a Gaussian, executed as ``reach * tanh(mean)``.
+    """A policy of K seeds: tanh of a Gaussian, executed as ``reach * tanh(mean)``.
 
     ``reach`` = 1 is the usual squashing, which only tends to the ends of the action
     range. With ``reach`` > 1 what lies outside [-1, 1] is cut off, so that full braking
@@ -126,13 +150,14 @@ class GaussianPolicy(nn.Module):
         action_dim: int,
         hidden: Sequence[int],
         reach: float = 1.0,
+        name: str = "policy",
     ) -> None:
         super().__init__()
         if reach < 1:
             raise ValueError(f"reach must be at least 1, not {reach}")
         self.reach = reach
         self.action_dim = action_dim
-        generators = list(_generators(seeds, "policy", 1))
+        generators = list(_generators(seeds, name, 1))
         self.mlp = BatchedMLP([observation_dim, *hidden, 2 * action_dim], generators)
 
     def distribution(self, observation: Tensor) -> tuple[Tensor, Tensor]:
@@ -176,5 +201,4 @@ def _log_tanh_slope(raw: Tensor) -> Tensor:
 @torch.no_grad()
 def copy_slowly(source: nn.Module, target: nn.Module, share: float) -> None:
     """Polyak averaging: target <- (1 - share) target + share source; share 1 copies."""
-    for new, old in zip(source.parameters(), target.parameters(), strict=True):
-        old.lerp_(new, share)
+    torch._foreach_lerp_(list(target.parameters()), list(source.parameters()), share)

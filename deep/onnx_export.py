@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from dead_ends.io.atomic import atomic_path
-from deep.safety_filter import Layers, SafetyFilter
+from deep.perceptron import Layers
+from deep.safety_filter import SafetyFilter
 
 __all__ = ["export_onnx"]
 

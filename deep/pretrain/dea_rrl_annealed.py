@@ -85,7 +85,8 @@ class DeaRrlAnnealed(Learner):
         self.value = StateValue(seeds, sizes.observation, settings.hidden)
         self.recovery = GaussianPolicy(seeds, *sizes, settings.hidden, settings.reach)
         self._optimizers = tuple(
-            adam(module, settings) for module in (self.critic, self.value, self.recovery)
+            adam(module, settings.learning_rate)
+            for module in (self.critic, self.value, self.recovery)
         )
 
     def update(self, batch: Batch, progress: float) -> Losses:

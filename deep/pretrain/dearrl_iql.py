@@ -53,7 +53,8 @@ class DearrlIql(Learner):
         self.value = StateValue(seeds, sizes.observation, settings.hidden)
         self.recovery = GaussianPolicy(seeds, *sizes, settings.hidden)
         self._optimizers = tuple(
-            adam(module, settings) for module in (self.critic, self.value, self.recovery)
+            adam(module, settings.learning_rate)
+            for module in (self.critic, self.value, self.recovery)
         )
 
     def update(self, batch: Batch, progress: float) -> Losses:  # noqa: ARG002  (no schedule here)

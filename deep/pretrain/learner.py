@@ -102,9 +102,9 @@ class Learner(nn.Module, ABC):
         """All optimizers, in a fixed order: their states belong to a checkpoint."""
 
 
-def adam(module: nn.Module, settings: Settings) -> torch.optim.Adam:
-    """Adam with the settings' rate, one fused kernel for all parameters."""
-    return torch.optim.Adam(module.parameters(), lr=settings.learning_rate, fused=True)
+def adam(module: nn.Module, learning_rate: float) -> torch.optim.Adam:
+    """Adam, one fused kernel for all parameters."""
+    return torch.optim.Adam(module.parameters(), lr=learning_rate, fused=True)
 
 
 def minimise(optimizer: torch.optim.Optimizer, loss: Tensor) -> Tensor:

@@ -54,7 +54,9 @@ class Rrl(Learner):
         self.critic = Critic(seeds, *sizes, settings.hidden, settings.members)
         self.critic_target = deepcopy(self.critic).requires_grad_(False)
         self.recovery = GaussianPolicy(seeds, *sizes, settings.hidden)
-        self._optimizers = tuple(adam(module, settings) for module in (self.critic, self.recovery))
+        self._optimizers = tuple(
+            adam(module, settings.learning_rate) for module in (self.critic, self.recovery)
+        )
 
     def update(self, batch: Batch, progress: float) -> Losses:  # noqa: ARG002  (no schedule here)
         """Evaluate pi_task by one step, improve pi_rec by one step."""

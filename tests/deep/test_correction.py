@@ -158,9 +158,9 @@ def test_broken_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="not a safetensors file"):
         SafetyFilter.load(path)
     save_file({"x": np.zeros(1)}, path)
-    with pytest.raises(ValueError, match="not a safety filter of this version"):
+    with pytest.raises(ValueError, match="not a .dead-ends safety filter 1. file"):
         SafetyFilter.load(path)
-    save_file({"x": np.zeros(1)}, path, {"filter": '{"format": "dead-ends safety filter 1"}'})
+    save_file({"x": np.zeros(1)}, path, {"networks": '{"format": "dead-ends safety filter 1"}'})
     with pytest.raises(ValueError, match="the safety filter lacks 'normalisation'"):
         SafetyFilter.load(path)
 

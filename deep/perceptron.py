@@ -1,0 +1,118 @@
+"""Trained perceptrons in numpy: evaluated, rescaled, and kept in files without pickle.
+
+What is deployed (safety filters, task policies) needs numpy and safetensors, not torch.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dead_ends.io.atomic import atomic_path
+
+__all__ = [
+    "Floats",
+    "Layers",
+    "check_layers",
+    "for_raw_inputs",
+    "forward",
+    "read_networks",
+    "write_networks",
+]
+
+Floats = NDArray[np.float32]
+Layers = tuple[tuple[Floats, Floats], ...]
+"""(weights (in, out), biases (out,)) a layer, or with a leading axis for M networks."""
+
+
+def forward(layers: Layers, x: Floats) -> Floats:
+    """A perceptron with ReLU, or M of them at once if the layers have a leading axis."""
+    *hidden, (last, bias) = layers
+    for weights, biases in hidden:
+        x = np.maximum(x @ weights + biases, 0)
+    return np.asarray(x @ last + bias)
+
+
+def for_raw_inputs(layers: Layers, centre: NDArray[Any], scale: NDArray[Any]) -> Layers:
+    """The same function of x where ``layers`` take (x - centre) / scale."""
+    (weights, biases), *rest = layers
+    scaled = weights.astype(np.float64) / scale[:, None]
+    shifted = biases - centre @ scaled if biases.ndim == 1 else biases - (centre @ scaled)[:, None]
+    return ((scaled.astype(np.float32), shifted.astype(np.float32)), *rest)
+
+
+def check_layers(part: str, layers: Layers, inputs: int, outputs: int) -> None:
+    """Refuse layers that do not map R^inputs to R^outputs, or hold a NaN.
+
+    Raises:
+        ValueError: naming the part.
+    """
+    if not layers:
+        raise ValueError(f"{part}: there are no layers")
+    if (layers[0][0].shape[-2], layers[-1][0].shape[-1]) != (inputs, outputs):
+        raise ValueError(
+            f"{part}: the network maps R^{layers[0][0].shape[-2]} to R^{layers[-1][0].shape[-1]}, "
+            f"expected R^{inputs} to R^{outputs}"
+        )
+    if any(a[0].shape[-1] != b[0].shape[-2] for a, b in pairwise(layers)):
+        raise ValueError(f"{part}: the layers do not fit each other")
+    if not all(np.isfinite(array).all() for layer in layers for array in layer):
+        raise ValueError(f"{part}: the weights hold a NaN or an infinity")
+
+
+def write_networks(
+    path: str | os.PathLike[str], form: str, networks: dict[str, Layers], rest: dict[str, Any]
+) -> None:
+    """One safetensors file: arrays, and ``rest`` as JSON in its header under ``form``."""
+    from safetensors.numpy import save_file
+
+    arrays = {
+        f"{part}.{i}.{kind}": np.ascontiguousarray(array)
+        for part, layers in networks.items()
+        for i, layer in enumerate(layers)
+        for kind, array in zip(("weights", "biases"), layer, strict=True)
+    }
+    header = {"networks": json.dumps({"format": form, **rest})}
+    with atomic_path(path) as temporary:
+        save_file(arrays, temporary, metadata=header)
+
+
+def read_networks(
+    path: str | os.PathLike[str], form: str, parts: Sequence[str]
+) -> tuple[dict[str, Layers], dict[str, Any]]:
+    """What :func:`write_networks` wrote: the networks named ``parts``, and the rest.
+
+    Raises:
+        ValueError: if the file is missing, broken, or of another form.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    if not Path(path).is_file():
+        raise ValueError(f"{path}: there is no such file")
+    try:
+        with safe_open(path, framework="numpy") as file:
+            metadata = file.metadata() or {}
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (no mapping)
+    except SafetensorError as error:
+        raise ValueError(f"{path}: not a safetensors file ({error})") from error
+    rest = json.loads(metadata.get("networks", "{}"))
+    if rest.get("format") != form:
+        raise ValueError(f"{path}: not a {form!r} file")
+    try:
+        return {part: _layers(arrays, part) for part in parts}, rest
+    except KeyError as error:
+        raise ValueError(f"{path}: the file lacks {error}") from error
+
+
+def _layers(arrays: dict[str, Floats], part: str) -> Layers:
+    count = sum(name.startswith(f"{part}.") for name in arrays) // 2
+    return tuple(
+        (arrays[f"{part}.{i}.weights"], arrays[f"{part}.{i}.biases"]) for i in range(count)
+    )
