@@ -21,7 +21,7 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """N checked transitions; read-only.
+    """N checked transitions; read-only. Arrays are copied unless they are read-only already.
 
     Attributes:
         observations, next_observations: float32 (N, observation dim).
@@ -43,9 +43,7 @@ class Transitions:
     def __post_init__(self) -> None:
         for field in fields(self):
             kind = np.bool_ if field.name in ("terminals", "timeouts") else np.float32
-            array: NDArray[Any] = np.array(getattr(self, field.name), dtype=kind)
-            array.flags.writeable = False
-            object.__setattr__(self, field.name, array)
+            object.__setattr__(self, field.name, _frozen(getattr(self, field.name), kind))
         _check_shapes(self)
         _check_numbers(self)
         _check_episodes(self)
@@ -63,6 +61,15 @@ class Transitions:
         return Transitions(
             **{field.name: getattr(self, field.name)[rows] for field in fields(self)}
         )
+
+
+def _frozen(given: Any, kind: type[np.generic]) -> NDArray[Any]:
+    """A read-only copy; an array that is read-only already is kept as it is."""
+    if isinstance(given, np.ndarray) and given.dtype == kind and not given.flags.writeable:
+        return given
+    array: NDArray[Any] = np.array(given, dtype=kind)
+    array.flags.writeable = False
+    return array
 
 
 def _check_shapes(data: Transitions) -> None:

@@ -25,12 +25,13 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from tqdm import tqdm
 
 from dead_ends.io.atomic import atomic_path
 from deep.batches import Batches
 from deep.checkpoint import load_checkpoint, save_checkpoint
-from deep.config import PretrainConfig, config_from_json, config_to_json, resolve
+from deep.config import Mix, PretrainConfig, config_from_json, config_to_json, resolve
 from deep.data import Transitions
 from deep.formats import read_hdf5
 from deep.pretrain import Learner, Sizes, build_learner
@@ -45,6 +46,9 @@ COLUMNS = ("update", "seed", "critic_loss", "value_loss", "recovery_loss", "mean
 DATA_STREAM = 7
 HEALTH_BATCH = 1 << 40
 """The number of a batch that no training reaches: fresh rows for the last check."""
+CONSTANT = 1e-6
+"""A coordinate that deviates by less, relative to its size or 1, is constant up to rounding."""
+ROWS = 1 << 14
 
 
 @dataclass(frozen=True)
@@ -127,42 +131,84 @@ def _fingerprint(path: Path | None) -> str | None:
         return None
     if not path.is_file():
         raise ValueError(f"{path}: there is no such file")
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def normalisation_of(data: Transitions) -> Normalisation:
-    """From the data's ranges: observations and actions fill [-1, 1]."""
-    parts = []
-    for array in (np.concatenate([data.observations, data.next_observations]), data.actions):
-        low, high = array.min(axis=0).astype(float), array.max(axis=0).astype(float)
-        half = (high - low) / 2
-        parts += [(low + high) / 2, np.where(half > 0, half, 1.0)]
-    return Normalisation(*(tuple(part.tolist()) for part in parts))
+    """Observations to mean 0 and standard deviation 1, actions by their range to [-1, 1].
 
-
-def _normalised(data: Transitions, n: Normalisation) -> Transitions:
-    def observation(x: Any) -> Any:
-        return (x - np.array(n.observation_centre)) / np.array(n.observation_scale)
-
-    return replace(
-        data,
-        observations=observation(data.observations),
-        next_observations=observation(data.next_observations),
-        actions=(data.actions - np.array(n.action_centre)) / np.array(n.action_scale),
+    Sensors have spikes that a range would be made of: with it an accelerometer's usual
+    values would fill a small part of [-1, 1], the smaller the longer it was recorded. A
+    coordinate that is constant up to rounding is only centred.
+    """
+    mean, deviation = _moments(data.observations)
+    constant = deviation <= CONSTANT * np.maximum(1, np.abs(mean))
+    low, high = (data.actions.min(axis=0).astype(float), data.actions.max(axis=0).astype(float))
+    half = (high - low) / 2
+    return Normalisation(
+        tuple(mean.tolist()),
+        tuple(np.where(constant, 1.0, deviation).tolist()),
+        tuple(((low + high) / 2).tolist()),
+        tuple(np.where(half > 0, half, 1.0).tolist()),
     )
 
 
-def _load(config: PretrainConfig) -> tuple[list[Transitions], Normalisation]:
-    """One data set a seed from a task, or one for all from a file."""
-    if config.task is not None:
-        task = make_task(config.task)
-        streams = (np.random.default_rng((seed, DATA_STREAM)) for seed in config.seeds)
-        data = [config.mix.collect(task, rng) for rng in streams]
-        return data, Normalisation.identity(task.observation_dim, task.action_dim)
-    assert config.data is not None
-    raw = read_hdf5(config.data)
-    normalisation = normalisation_of(raw)
-    return [_normalised(raw, normalisation)], normalisation
+def _moments(x: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean and standard deviation of each column, in float64 without a copy in it."""
+    mean = x.mean(axis=0, dtype=np.float64)
+    blocks = (x[first : first + ROWS] for first in range(0, len(x), ROWS))
+    squares = sum(((block - mean) ** 2).sum(axis=0) for block in blocks)
+    return mean, np.sqrt(squares / len(x))
+
+
+def _normalised(data: Transitions, n: Normalisation) -> Transitions:
+    return replace(
+        data,
+        observations=_scaled(data.observations, n.observation_centre, n.observation_scale),
+        next_observations=_scaled(
+            data.next_observations, n.observation_centre, n.observation_scale
+        ),
+        actions=_scaled(data.actions, n.action_centre, n.action_scale),
+    )
+
+
+def _scaled(
+    x: NDArray[np.float32], centre: tuple[float, ...], scale: tuple[float, ...]
+) -> NDArray[np.float32]:
+    """(x - centre) / scale as one new read-only array."""
+    scaled = x - np.array(centre, dtype=np.float32)
+    scaled /= np.array(scale, dtype=np.float32)
+    scaled.flags.writeable = False
+    return scaled
+
+
+def _load(config: PretrainConfig) -> tuple[list[Transitions], list[Normalisation]]:
+    """Normalised data, one set a seed from a task or one for all from a file; a
+    normalisation a seed.
+    """
+    if config.data is not None:
+        raw = read_hdf5(config.data)
+        normalisation = normalisation_of(raw)
+        return [_normalised(raw, normalisation)], [normalisation] * len(config.seeds)
+    assert config.task is not None
+    task = make_task(config.task)
+    pairs = [_collected(task, config.mix, seed) for seed in config.seeds]
+    return [data for data, _ in pairs], [normalisation for _, normalisation in pairs]
+
+
+def _collected(task: Task, mix: Mix, seed: int) -> tuple[Transitions, Normalisation]:
+    """A seed's own data; normalised unless the task's observations are scaled already."""
+    data = mix.collect(task, np.random.default_rng((seed, DATA_STREAM)))
+    identity = Normalisation.identity(task.observation_dim, task.action_dim)
+    if (task.observation_low == -1).all() and (task.observation_high == 1).all():
+        return data, identity
+    found = replace(
+        normalisation_of(data),
+        action_centre=identity.action_centre,  # a task's actions fill [-1, 1]
+        action_scale=identity.action_scale,
+    )
+    return _normalised(data, found), found
 
 
 def pretrain(config: PretrainConfig, folder: Path, *, quiet: bool = False) -> PretrainResult:
@@ -179,16 +225,17 @@ def pretrain(config: PretrainConfig, folder: Path, *, quiet: bool = False) -> Pr
     assert config.gamma_safe is not None
     if config.device == "cuda" and not torch.cuda.is_available():
         raise ValueError("device cuda: this machine or this build of torch has no CUDA device")
-    data, normalisation = _load(config)
+    data, normalisations = _load(config)
     device = torch.device(config.device)
     sizes = Sizes(data[0].observations.shape[1], data[0].actions.shape[1])
     learner = build_learner(config.method, sizes, config.seeds).to(device)
     settings = config.method
     batches = Batches(data, config.seeds, settings.batch_size, settings.violation_share, device)
+    del data  # the batches have their own copy
     _train(learner, batches, config, folder, quiet)
     filters = tuple(
         extract_filter(learner, seed, config.threshold, config.gamma_safe, normalisation)
-        for seed in config.seeds
+        for seed, normalisation in zip(config.seeds, normalisations, strict=True)
     )
     (folder / "filters").mkdir(exist_ok=True)
     for safety in filters:

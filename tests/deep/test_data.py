@@ -61,6 +61,17 @@ def same(a: Transitions, b: Transitions) -> bool:
     return all(np.array_equal(getattr(a, f.name), getattr(b, f.name)) for f in fields(Transitions))
 
 
+def test_only_arrays_that_may_change_are_copied() -> None:
+    columns = episode([0, 0, 1])
+    data = Transitions(**columns)
+    columns["observations"][0] = 9.0
+    assert data.observations[0] == 0.0
+    assert not data.observations.flags.writeable
+    again = replace(data, rewards=np.zeros(3))
+    assert again.observations is data.observations
+    assert not again.rewards.flags.writeable
+
+
 def test_collected_transitions_are_steps_of_the_task() -> None:
     data = brake_data()
     state = (data.observations.astype(float) + 1) / 2 * BRAKE.high

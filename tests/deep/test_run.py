@@ -9,7 +9,8 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
+import tracemalloc
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ import pytest
 import torch
 
 from deep.__main__ import main
+from deep.batches import Batches
 from deep.checkpoint import load_checkpoint, save_checkpoint
 from deep.config import Mix, PretrainConfig, config_from_json, config_to_json, resolve
 from deep.data import Transitions
@@ -31,9 +33,9 @@ from deep.pretrain import (
 )
 from deep.pretrain.health import Status, check_critics, check_losses
 from deep.pretrain.learner import Losses
-from deep.run import normalisation_of, pretrain, read_run
-from deep.safety_filter import SafetyFilter
-from deep.tasks import Brake
+from deep.run import DATA_STREAM, normalisation_of, pretrain, read_run
+from deep.safety_filter import Normalisation, SafetyFilter
+from deep.tasks import Brake, make_task
 from deep.thresholds import discount_from_horizon, low_threshold, paper_threshold
 
 SMALL = {"hidden": (8,), "batch_size": 16}
@@ -198,7 +200,6 @@ def test_broken_checkpoints_are_refused(tmp_path: Path) -> None:
 
 
 def test_diverged_and_saturated_critics_are_reported() -> None:
-    from deep.batches import Batches
     from deep.collect import collect, random_policy
 
     data = collect(Brake(), random_policy(Brake()), np.random.default_rng(0), 300)
@@ -326,6 +327,129 @@ def test_data_from_a_file_are_normalised_and_their_change_is_noticed(tmp_path: P
         pretrain(config, tmp_path / "run", quiet=True)
 
 
+def transitions(observations: np.ndarray) -> Transitions:
+    """Rows with these observations, the last of them a violation."""
+    n = len(observations)
+    end = np.arange(n) == n - 1
+    actions = np.linspace(-1, 1, n)[:, None]
+    return Transitions(
+        observations, actions, observations, np.zeros(n), end * 1.0, end, np.zeros(n, dtype=bool)
+    )
+
+
+def test_one_spike_does_not_squash_a_sensor() -> None:
+    rng = np.random.default_rng(0)
+    sensors = rng.normal([5.0, -2.0], [3.0, 0.01], (20_000, 2))
+    calm = normalisation_of(transitions(sensors))
+    assert calm.observation_centre == pytest.approx([5.0, -2.0], abs=0.1)
+    assert calm.observation_scale == pytest.approx([3.0, 0.01], rel=0.02)
+    sensors[1000, 0] = 300.0  # a hundred deviations
+    spiked = normalisation_of(transitions(sensors))
+    assert spiked.observation_scale[0] == pytest.approx(3.0, rel=0.3)  # of a range: 150
+    assert spiked.observation_scale[1] == calm.observation_scale[1]
+
+
+def test_mean_and_deviation_are_numpys_over_all_rows() -> None:
+    observations = np.random.default_rng(0).exponential(2.0, (40_000, 3)).astype(np.float32)
+    found = normalisation_of(transitions(observations))
+    exact = observations.astype(np.float64)
+    assert found.observation_centre == pytest.approx(exact.mean(axis=0), rel=1e-12)
+    assert found.observation_scale == pytest.approx(exact.std(axis=0), rel=1e-12)
+
+
+def test_a_constant_coordinate_is_only_centred() -> None:
+    rng = np.random.default_rng(0)
+    rounding = rng.choice([-1e-6, 0, 1e-6], 500)
+    columns = np.stack([np.full(500, 9.81) + rounding, np.zeros(500), np.full(500, -400.0)], axis=1)
+    found = normalisation_of(transitions(columns))
+    assert found.observation_scale == (1.0, 1.0, 1.0)
+    assert found.observation_centre == pytest.approx([9.81, 0.0, -400.0], abs=1e-5)
+
+
+def test_scaled_tasks_keep_their_units(tmp_path: Path) -> None:
+    for safety in pretrain(TINY, tmp_path / "run", quiet=True).filters:
+        assert safety.normalisation == Normalisation.identity(2, 1)
+
+
+SENSORS = replace(
+    TINY, task="static-env", horizon=30, mix=Mix(3000, random=0, corners=0, adversary=1)
+)
+
+
+def test_each_seed_sees_its_own_data_normalised(tmp_path: Path) -> None:
+    seen: list[Transitions] = []
+
+    def spy(data: list[Transitions], *rest: object) -> Batches:
+        seen.extend(data)
+        return Batches(data, *rest)  # type: ignore[arg-type]  # passed through
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("deep.run.Batches", spy)
+        filters = pretrain(SENSORS, tmp_path / "run", quiet=True).filters
+    assert (
+        filters[0].normalisation.observation_centre != filters[1].normalisation.observation_centre
+    )
+    for data, safety in zip(seen, filters, strict=True):
+        rng = np.random.default_rng((safety.seed, DATA_STREAM))
+        raw = SENSORS.mix.collect(make_task("static-env"), rng)
+        units, found = safety.normalisation, normalisation_of(raw)
+        assert units.observation_centre == found.observation_centre
+        assert units.observation_scale == found.observation_scale
+        centre, scale = np.array(found.observation_centre), np.array(found.observation_scale)
+        for name in ("observations", "next_observations"):
+            expected = (getattr(raw, name) - centre) / scale
+            assert getattr(data, name) == pytest.approx(expected, abs=1e-4)
+        assert (units.action_centre, units.action_scale) == ((0.0, 0.0), (1.0, 1.0))
+        assert np.array_equal(data.actions, raw.actions)
+        assert data.observations.mean(axis=0) == pytest.approx(0, abs=1e-4)
+        varies = np.array(found.observation_scale) != 1.0
+        assert varies.sum() == 39  # of 44: a robot in the plane neither falls nor rolls
+        assert data.observations[:, varies].std(axis=0) == pytest.approx(1, abs=1e-4)
+    alone = pretrain(replace(SENSORS, seeds=(3,)), tmp_path / "alone", quiet=True).filters[0]
+    beside = filters[1].q(raw.observations, raw.actions)
+    assert alone.q(raw.observations, raw.actions) == pytest.approx(beside, abs=1e-4)
+
+
+@pytest.mark.parametrize("source", ["--task", "--data"])
+def test_runs_of_sensors_go_on_where_they_stopped(source: str, tmp_path: Path) -> None:
+    mix = ["--random", "0", "--corners", "0", "--adversary", "1", "--transitions", "3000"]
+    data = str(tmp_path / "data.hdf5")
+    assert main(["collect", "--task", "static-env", "--out", data, *mix]) == 0
+    nested = [part.replace("--", "--mix.") for part in mix] if source == "--task" else []
+    of_method = ["method:dea-rrl-annealed", "--method.hidden", "8", "--method.batch-size", "16"]
+
+    def run(folder: str) -> list[str]:
+        given = [source, "static-env" if source == "--task" else data, "--horizon", "30"]
+        numbers = ["--seeds", "0", "3", "--updates", "40", "--checkpoint-every", "15"]
+        return ["pretrain", "--out", folder, *given, *numbers, *nested, *of_method]
+
+    whole, stopped = tmp_path / "whole", tmp_path / "stopped"
+    assert main(run(str(whole))) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("deep.run.save_checkpoint", _stop_after_saving)
+        with pytest.raises(_Stopped):
+            main(run(str(stopped)))
+    assert not (stopped / "filters").exists()
+    assert main(run(str(stopped))) == 0
+    assert filter_bytes(stopped) == filter_bytes(whole)
+
+
+def test_data_are_not_held_many_times_over(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    data = transitions(rng.standard_normal((50_000, 60)))
+    path = tmp_path / "data.hdf5"
+    write_hdf5(data, path)
+    size = sum(getattr(data, field.name).nbytes for field in fields(data))
+    del data
+    config = replace(TINY, task=None, data=path, horizon=30, seeds=(0, 1, 2), updates=1)
+    tracemalloc.start()
+    pretrain(config, tmp_path / "run", quiet=True)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # As read and as checked, as given and normalised, normalised and as tensors: two at once.
+    assert peak < 2.6 * size
+
+
 def test_the_command_line_says_what_is_wrong_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -346,6 +470,13 @@ def test_the_command_line_says_what_is_wrong_in_one_line(
         == 2
     )
     assert "no.hdf5: there is no such file" in capsys.readouterr().err
+    sensors = ["pretrain", "--out", str(tmp_path / "x"), "--task", "point-goal1"]
+    assert main(sensors) == 2
+    assert capsys.readouterr().err == (
+        "deep: give the horizon (the most steps from a dead-end to the violation), "
+        "or both gamma_safe and threshold\n"
+    )
+    assert not (tmp_path / "x").exists()
     assert main(["compare", "--out", str(tmp_path / "y"), "--task", "point"]) == 2
     assert "point: there is no exact answer" in capsys.readouterr().err
 
