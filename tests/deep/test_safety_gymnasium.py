@@ -22,24 +22,52 @@ DIMENSIONS = dict(zip(REAL_NAMES, (44, 44, 60, 72, 104), strict=True))
 @installed
 @pytest.mark.parametrize("name", REAL_NAMES)
 def test_every_real_task_runs_and_begins_anew(name: str) -> None:
-    environment = RealVectorEnv(name, 3)
+    environment = RealVectorEnv(name, 4)
     observation, _ = environment.reset(seed=0)
-    assert observation.shape == (3, DIMENSIONS[name])
-    actions = environment.action_space.sample()
-    ends = 0
-    for _ in range(200):
-        observation, reward, terminated, truncated, info = environment.step(np.sign(actions))
+    assert observation.shape == (4, DIMENSIONS[name])
+    rng = np.random.default_rng(0)
+    violations = 0
+    for step in range(300):
+        if step % 75 == 0:  # at first new ones each step, then held, which leads further
+            held = rng.choice([-1.0, 1.0], environment.action_space.shape)
+        actions = rng.uniform(-1, 1, held.shape) if step < 75 else held
+        before = observation
+        observation, reward, terminated, truncated, info = environment.step(actions)
         assert environment.observation_space.contains(observation)
-        assert reward.shape == (3,)
+        assert observation.dtype == np.float32
+        assert np.isfinite(observation).all()
+        assert (observation != before).any(axis=1).all()
+        assert reward.shape == (4,)
         assert np.abs(reward).max() < 1.5
         assert not truncated.any()
+        assert np.isin(info["cost"], (0, 1)).all()
+        assert terminated[info["cost"] == 1].all()
+        if name != "static-env":  # which ends at its goal too
+            assert np.array_equal(terminated, info["cost"] == 1)
         if terminated.any():
-            ends += 1
             assert np.array_equal(info["_final_obs"], terminated)
-            assert (info["cost"][~terminated] == 0).all()
             assert np.abs(info["final_obs"][terminated] - observation[terminated]).max() > 0.1
+        violations += int(info["cost"].sum())
     environment.close()
-    assert observation.dtype == np.float32
+    assert violations > 0 or name == "doggo-goal1"  # which stands and trembles
+
+
+@installed
+@pytest.mark.parametrize("name", REAL_NAMES)
+def test_a_violation_ends_the_episode_of_its_copy_alone(name: str) -> None:
+    environment = RealVectorEnv(name, 3)
+    environment.reset(seed=0)
+    actions = np.zeros(environment.action_space.shape)
+    environment.step(actions)
+    environment._worker.call("lay_hazard", 1)
+    _, _, terminated, truncated, info = environment.step(actions)
+    assert info["cost"].tolist() == [0, 1, 0]
+    assert terminated.tolist() == [False, True, False]
+    assert not truncated.any()
+    assert info["_final_obs"].tolist() == [False, True, False]
+    for _ in range(20):  # the next episode has its hazards where they belong
+        assert not environment.step(actions)[2].any()
+    environment.close()
 
 
 @installed

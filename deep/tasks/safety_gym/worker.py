@@ -149,6 +149,11 @@ class Copies:
             if copy.task.agent.body_info.nq > 3:
                 data.qpos[2] += height
 
+    def lay_hazard(self, index: int) -> None:
+        """Lay a hazard under one robot until its episode ends, which its next step does."""
+        task = self.copies[index].task
+        task.model.body("hazard0").pos[:2] = task.agent.pos[:2]
+
     def render(self, index: int) -> Any:
         """The picture of one copy."""
         return self.copies[index].render()
