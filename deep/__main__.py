@@ -1,4 +1,4 @@
-"""Command line: ``python -m deep collect|pretrain|compare|demo``.
+"""Command line: ``python -m deep collect|pretrain|compare|demo|report``.
 
 A run that was interrupted or killed goes on when the same command is given again.
 """
@@ -21,6 +21,7 @@ from deep.data import summarise
 from deep.demo import DemoConfig, demo
 from deep.formats import write_hdf5
 from deep.pretrain.health import Status
+from deep.report import report
 from deep.run import pretrain
 from deep.sweep import SweepConfig, sweep
 from deep.tasks import make_task
@@ -125,12 +126,34 @@ class Demo:
         print(self.config.out / "demo.png")
 
 
+@dataclass(frozen=True)
+class Report:
+    """Tables and pictures from a study's saved runs, whatever has finished.
+
+    Attributes:
+        study: the study's folder.
+        out: the folder that gets report.md and its parts.
+    """
+
+    study: Path
+    out: Path
+
+    def run(self) -> None:
+        """Read, write, and say how much there was."""
+        found = report(self.study, self.out)
+        print(
+            f"{self.out / 'report.md'}: {len(found.runs)} finished runs, "
+            f"{len(found.unfinished)} unfinished"
+        )
+
+
 Command: TypeAlias = (
     Annotated[Collect, tyro.conf.subcommand("collect")]
     | Annotated[Pretrain, tyro.conf.subcommand("pretrain")]
     | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Sweep, tyro.conf.subcommand("sweep")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
+    | Annotated[Report, tyro.conf.subcommand("report")]
 )
 
 
