@@ -70,8 +70,8 @@ def reported(whole: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def _rows(table: str, heading: str) -> dict[str, list[str]]:
     """The cells of the rows below a heading, by their first cell."""
-    block = table.split(f"### {heading}\n\n")[1].split("\n\n")[0]
-    cells = [[cell.strip() for cell in line.strip("|\n").split("|")] for line in block.splitlines()]
+    lines = table.split(f"### {heading}\n")[1].split("\n###")[0].splitlines()
+    cells = [[c.strip() for c in line.strip("|").split("|")] for line in lines if "|" in line]
     return {row[0]: row[1:] for row in cells}
 
 
@@ -185,6 +185,10 @@ def test_all_tasks_together_in_units_of_sac(tmp_path: Path) -> None:
     assert rows["RRL"][:3] == ["0.50", "0.100", "0.500"]
     assert rows["RRL"][-1] == "8"
     assert rows["WCSAC"][:3] == ["missing"] * 3
+    assert "Over static-env, point-goal1.\n" in main_table(read_study(tmp_path))
+    again = [studies.seed_result(0, acr=100.0)]
+    studies.write_result(tmp_path / "real/train/sac", "real:static-env", "sac", again)
+    assert _rows(main_table(read_study(tmp_path)), "All tasks together") == rows
     one_task = replace(read_study(tmp_path), runs=read_study(tmp_path).runs[:2])
     assert "All tasks" not in main_table(one_task)
 
