@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, Protocol
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -11,31 +13,50 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from dead_ends.io.atomic import atomic_path
-from deep.pretrain.learner import Learner
 
 __all__ = ["load_checkpoint", "save_checkpoint"]
 
 
-def save_checkpoint(learner: Learner, update: int, path: str | os.PathLike[str]) -> None:
-    """Write the state after ``update`` updates; the file is whole or as it was before."""
+class Trained(Protocol):
+    """Anything with networks and optimizers."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """The networks' tensors, as of a torch module."""
+
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> Any:
+        """Put them back."""
+
+    @property
+    def optimizers(self) -> tuple[torch.optim.Optimizer, ...]:
+        """In a fixed order."""
+
+
+def save_checkpoint(
+    learner: Trained, update: int, path: str | os.PathLike[str], rest: str = ""
+) -> None:
+    """Write the state after ``update`` updates; the file is whole or as it was before.
+
+    ``rest`` is kept beside it: what else the run needs to go on, as text.
+    """
     tensors = {f"network.{name}": tensor for name, tensor in learner.state_dict().items()}
     for i, optimizer in enumerate(learner.optimizers):
         for j, state in optimizer.state_dict()["state"].items():
             tensors |= {f"optimizer.{i}.{j}.{name}": tensor for name, tensor in state.items()}
     contiguous = {name: tensor.detach().contiguous() for name, tensor in tensors.items()}
     with atomic_path(path) as temporary:
-        save_file(contiguous, temporary, metadata={"update": str(update)})
+        save_file(contiguous, temporary, metadata={"update": str(update), "rest": rest})
 
 
-def load_checkpoint(learner: Learner, path: str | os.PathLike[str]) -> int:
-    """Put the state back into a learner of the same settings; the updates done.
+def load_checkpoint(learner: Trained, path: str | os.PathLike[str]) -> tuple[int, str]:
+    """Put the state back into a learner of the same settings; the updates done, the rest.
 
     Raises:
         ValueError: if the file is broken or belongs to other settings.
     """
     try:
         with safe_open(Path(path), framework="pt") as file:
-            update = int((file.metadata() or {})["update"])
+            metadata = file.metadata() or {}
+            update, rest = int(metadata["update"]), metadata["rest"]
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (no mapping)
         networks = {
             name.removeprefix("network."): tensor
@@ -49,7 +70,7 @@ def load_checkpoint(learner: Learner, path: str | os.PathLike[str]) -> int:
         state = optimizer.state_dict()
         state["state"] = _optimizer_state(tensors, i)
         optimizer.load_state_dict(state)
-    return update
+    return update, rest
 
 
 def _optimizer_state(tensors: dict[str, Tensor], optimizer: int) -> dict[int, dict[str, Tensor]]:

@@ -8,20 +8,11 @@ up again from its last checkpoint ends as if nothing had happened.
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
-import os
-import platform
-import signal
-import subprocess
-import threading
 import time
 from dataclasses import dataclass, replace
-from importlib import metadata
 from pathlib import Path
-from types import FrameType
-from typing import Any
 
 import numpy as np
 import torch
@@ -33,6 +24,7 @@ from deep.batches import Batches
 from deep.checkpoint import load_checkpoint, save_checkpoint
 from deep.config import Mix, PretrainConfig, config_from_json, config_to_json, resolve
 from deep.data import Transitions
+from deep.folder import CsvLog, InterruptAfterUpdate, versions
 from deep.formats import read_hdf5
 from deep.pretrain import Learner, Sizes, build_learner
 from deep.pretrain.extract import extract_filter
@@ -40,7 +32,16 @@ from deep.pretrain.health import CriticHealth, check_critics, check_losses
 from deep.safety_filter import Normalisation, SafetyFilter
 from deep.tasks import Brake, DoubleIntegrator, Task, make_task
 
-__all__ = ["PretrainResult", "normalisation_of", "open_run", "pretrain", "task_horizon"]
+__all__ = [
+    "PretrainResult",
+    "centre_and_scale",
+    "load_data",
+    "normalisation_of",
+    "open_run",
+    "pretrain",
+    "read_run",
+    "task_horizon",
+]
 
 COLUMNS = ("update", "seed", "critic_loss", "value_loss", "recovery_loss", "mean_q", "seconds")
 DATA_STREAM = 7
@@ -85,7 +86,7 @@ def open_run(config: PretrainConfig, folder: Path) -> PretrainConfig:
         return resolved
     fingerprint = _fingerprint(resolved.data)
     folder.mkdir(parents=True, exist_ok=True)
-    content = {"run": plain, "made with": _versions(), "data": fingerprint}
+    content = {"run": plain, "made with": versions(), "data": fingerprint}
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(content, indent=2) + "\n")
     return resolved
@@ -107,25 +108,6 @@ def read_run(folder: Path) -> PretrainConfig:
     return config
 
 
-def _versions() -> dict[str, str]:
-    names = ("numpy", "torch", "gymnasium", "safetensors")
-    found = {name: metadata.version(name) for name in names}
-    return found | {"python": platform.python_version(), "git": _git_revision()}
-
-
-def _git_revision() -> str:
-    """The revision of the source tree, with a + if it has changes; "" outside one."""
-    root = Path(__file__).parent
-    run = subprocess.run(
-        ["git", "describe", "--always", "--abbrev=40", "--dirty=+", "--exclude=*"],
-        cwd=root,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    return run.stdout.strip()
-
-
 def _fingerprint(path: Path | None) -> str | None:
     if path is None:
         return None
@@ -142,16 +124,22 @@ def normalisation_of(data: Transitions) -> Normalisation:
     values would fill a small part of [-1, 1], the smaller the longer it was recorded. A
     coordinate that is constant up to rounding is only centred.
     """
-    mean, deviation = _moments(data.observations)
-    constant = deviation <= CONSTANT * np.maximum(1, np.abs(mean))
+    centre, scale = centre_and_scale(data.observations)
     low, high = (data.actions.min(axis=0).astype(float), data.actions.max(axis=0).astype(float))
     half = (high - low) / 2
     return Normalisation(
-        tuple(mean.tolist()),
-        tuple(np.where(constant, 1.0, deviation).tolist()),
+        centre,
+        scale,
         tuple(((low + high) / 2).tolist()),
         tuple(np.where(half > 0, half, 1.0).tolist()),
     )
+
+
+def centre_and_scale(x: NDArray[np.float32]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Of observations (n, o): mean, and standard deviation or 1 where they do not vary."""
+    mean, deviation = _moments(x)
+    constant = deviation <= CONSTANT * np.maximum(1, np.abs(mean))
+    return tuple(mean.tolist()), tuple(np.where(constant, 1.0, deviation).tolist())
 
 
 def _moments(x: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -183,7 +171,7 @@ def _scaled(
     return scaled
 
 
-def _load(config: PretrainConfig) -> tuple[list[Transitions], list[Normalisation]]:
+def load_data(config: PretrainConfig) -> tuple[list[Transitions], list[Normalisation]]:
     """Normalised data, one set a seed from a task or one for all from a file; a
     normalisation a seed.
     """
@@ -225,7 +213,7 @@ def pretrain(config: PretrainConfig, folder: Path, *, quiet: bool = False) -> Pr
     assert config.gamma_safe is not None
     if config.device == "cuda" and not torch.cuda.is_available():
         raise ValueError("device cuda: this machine or this build of torch has no CUDA device")
-    data, normalisations = _load(config)
+    data, normalisations = load_data(config)
     device = torch.device(config.device)
     sizes = Sizes(data[0].observations.shape[1], data[0].actions.shape[1])
     learner = build_learner(config.method, sizes, config.seeds).to(device)
@@ -247,11 +235,11 @@ def _train(
     learner: Learner, batches: Batches, config: PretrainConfig, folder: Path, quiet: bool
 ) -> None:
     checkpoint = folder / "checkpoint.safetensors"
-    done = load_checkpoint(learner, checkpoint) if checkpoint.exists() else 0
-    log = _ProgressLog(folder / "progress.csv", learner.seeds, done)
+    done = load_checkpoint(learner, checkpoint)[0] if checkpoint.exists() else 0
+    log = CsvLog(folder / "progress.csv", COLUMNS, done)
     begin = time.perf_counter()
     bar = tqdm(total=config.updates, initial=done, desc=learner.name, unit="", disable=quiet)
-    with bar, _InterruptAfterUpdate() as interrupt:
+    with bar, InterruptAfterUpdate() as interrupt:
         while done < config.updates:
             batch = batches.get(done)
             losses = learner.update(batch, done / config.updates)
@@ -263,7 +251,7 @@ def _train(
                 check_losses(learner, losses, done)
                 with torch.no_grad():
                     q = learner.critic.worst(batch.observation, batch.action).mean(dim=1)
-                log.write(done, (*losses, q), time.perf_counter() - begin)
+                log.write(_log_rows(learner, done, (*losses, q), time.perf_counter() - begin))
             if done % config.checkpoint_every == 0 or last:
                 check_losses(learner, losses, done)
                 save_checkpoint(learner, done, checkpoint)
@@ -271,51 +259,11 @@ def _train(
                 raise KeyboardInterrupt
 
 
-class _InterruptAfterUpdate:
-    """Holds Ctrl-C back until the update at work is whole; outside the main thread: nothing."""
-
-    def __init__(self) -> None:
-        self.asked = False
-        self._before: Any = None
-
-    def __enter__(self) -> _InterruptAfterUpdate:
-        if threading.current_thread() is threading.main_thread():
-            self._before = signal.signal(signal.SIGINT, self._ask)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
-
-    def _ask(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002  (a handler's signature)
-        self.asked = True
-
-
-class _ProgressLog:
-    """``progress.csv``: one row a seed and logged update."""
-
-    def __init__(self, path: Path, seeds: tuple[int, ...], done: int) -> None:
-        self._path = path
-        self._seeds = seeds
-        rows = [row for row in _rows(path) if int(row[0]) <= done]
-        with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
-            csv.writer(file).writerows([COLUMNS, *rows])
-
-    def write(self, update: int, numbers: tuple[torch.Tensor, ...], seconds: float) -> None:
-        """Append the seeds' numbers and hand them to the operating system."""
-        with self._path.open("a", newline="") as file:
-            writer = csv.writer(file)
-            for k, seed in enumerate(self._seeds):
-                values = (f"{float(number[k]):.6g}" for number in numbers)
-                writer.writerow((update, seed, *values, f"{seconds:.1f}"))
-            file.flush()
-            os.fsync(file.fileno())
-
-
-def _rows(path: Path) -> list[list[str]]:
-    """The rows that were written wholly, without the header."""
-    if not path.exists():
-        return []
-    lines = path.read_text().splitlines(keepends=True)[1:]
-    whole = [line for line in lines if line.endswith("\n") and line.count(",") == len(COLUMNS) - 1]
-    return list(csv.reader(whole))
+def _log_rows(
+    learner: Learner, update: int, numbers: tuple[torch.Tensor, ...], seconds: float
+) -> list[tuple[object, ...]]:
+    """One row a seed of ``progress.csv``."""
+    return [
+        (update, seed, *(f"{float(number[k]):.6g}" for number in numbers), f"{seconds:.1f}")
+        for k, seed in enumerate(learner.seeds)
+    ]

@@ -142,3 +142,20 @@ class TaskVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             self._steps[done] = 0
             observations[done] = self.task.observe(self._states[done])
         return observations, step.reward, terminated, truncated, info
+
+    def snapshot(self) -> dict[str, Any]:
+        """All that later steps hang on, as JSON: states, ages of episodes, the generator."""
+        if self._states is None:
+            raise ValueError(f"{self.task.name}: call reset() before snapshot()")
+        return {
+            "states": self._states.tolist(),
+            "steps": self._steps.tolist(),
+            "generator": self.np_random.bit_generator.state,
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> Observations:
+        """Go on from a snapshot of as many copies; the observations there."""
+        self._states = np.array(snapshot["states"], dtype=np.float64)
+        self._steps = np.array(snapshot["steps"], dtype=np.int64)
+        self.np_random.bit_generator.state = snapshot["generator"]
+        return self.task.observe(self._states)

@@ -105,7 +105,7 @@ def test_checkpoints_hold_the_whole_state(method: str, tmp_path: Path) -> None:
         patch.setattr("deep.run.save_checkpoint", _stop_after_saving)
         with pytest.raises(_Stopped):
             pretrain(config, stopped, quiet=True)
-    assert load_checkpoint(learner, stopped / "checkpoint.safetensors") == 15
+    assert load_checkpoint(learner, stopped / "checkpoint.safetensors") == (15, "")
     with (stopped / "progress.csv").open("a") as file:
         file.write("20,0,0.1,0.1,0.1,0.1,9\n20,3,0.")
     pretrain(config, stopped, quiet=True)

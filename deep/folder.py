@@ -1,0 +1,91 @@
+"""What run folders have in common: who made them, their logs, and a polite Ctrl-C."""
+
+from __future__ import annotations
+
+import csv
+import os
+import platform
+import signal
+import subprocess
+import threading
+from collections.abc import Iterable, Sequence
+from importlib import metadata
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from dead_ends.io.atomic import atomic_path
+
+__all__ = ["CsvLog", "InterruptAfterUpdate", "versions"]
+
+
+def versions() -> dict[str, str]:
+    """Versions of what the numbers hang on, and the source tree's git revision."""
+    names = ("numpy", "torch", "gymnasium", "safetensors")
+    found = {name: metadata.version(name) for name in names}
+    return found | {"python": platform.python_version(), "git": _git_revision()}
+
+
+def _git_revision() -> str:
+    """The revision of the source tree, with a + if it has changes; "" outside one."""
+    root = Path(__file__).parent
+    run = subprocess.run(
+        ["git", "describe", "--always", "--abbrev=40", "--dirty=+", "--exclude=*"],
+        cwd=root,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return run.stdout.strip()
+
+
+class InterruptAfterUpdate:
+    """Holds Ctrl-C back until the update at work is whole; outside the main thread: nothing."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._before: Any = None
+
+    def __enter__(self) -> InterruptAfterUpdate:
+        if threading.current_thread() is threading.main_thread():
+            self._before = signal.signal(signal.SIGINT, self._ask)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)
+
+    def _ask(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002  (a handler's signature)
+        self.asked = True
+
+
+class CsvLog:
+    """A table that grows by rows; what a killed run wrote after its checkpoint is dropped.
+
+    Args:
+        path: the file.
+        columns: its header; the first column counts what has been done.
+        done: rows that count more are dropped.
+    """
+
+    def __init__(self, path: Path, columns: Sequence[str], done: int) -> None:
+        self._path = path
+        rows = [row for row in _rows(path, len(columns)) if int(row[0]) <= done]
+        with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
+            csv.writer(file).writerows([columns, *rows])
+
+    def write(self, rows: Iterable[Sequence[object]]) -> None:
+        """Append rows and hand them to the disk."""
+        with self._path.open("a", newline="") as file:
+            csv.writer(file).writerows(rows)
+            file.flush()
+            os.fsync(file.fileno())
+
+
+def _rows(path: Path, width: int) -> list[list[str]]:
+    """The rows that were written wholly, without the header."""
+    if not path.exists():
+        return []
+    lines = path.read_text().splitlines(keepends=True)[1:]
+    whole = [line for line in lines if line.endswith("\n") and line.count(",") == width - 1]
+    return list(csv.reader(whole))

@@ -1,0 +1,107 @@
+"""From a pretraining run's folder to the gate of an online run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from deep.batches import Batches
+from deep.checkpoint import load_checkpoint
+from deep.config import PretrainConfig
+from deep.online.config import TrainConfig
+from deep.online.gate import FinetunedGate, FrozenGate, Gate, OpenGate
+from deep.pretrain import Learner, RrlMsdpSettings, RrlSettings, build_learner
+from deep.pretrain.learner import Sizes
+from deep.run import load_data, read_run
+from deep.safety_filter import Normalisation, SafetyFilter
+
+__all__ = ["build_gate"]
+
+
+def build_gate(config: TrainConfig, sizes: Sizes) -> tuple[Gate, tuple[Normalisation, ...]]:
+    """The gate that the configuration asks for, and its normalisations, one a seed.
+
+    Without a pretraining run both are empty. Otherwise the task policy sees observations
+    as the critic does.
+
+    Raises:
+        ValueError: if the pretraining run is missing, unfinished, or does not fit the task.
+    """
+    if config.safety is None:
+        return OpenGate(), ()
+    pretrained = read_run(config.safety)
+    seeds = config.safety_seeds or config.seeds
+    filters = _filters(config, pretrained, seeds)
+    for safety in filters:
+        if (safety.observation_dim, safety.action_dim) != tuple(sizes):
+            raise ValueError(
+                f"{config.safety}: its filters take observations in R^{safety.observation_dim} and "
+                f"actions in R^{safety.action_dim}, {config.task} has R^{sizes.observation} and "
+                f"R^{sizes.action}"
+            )
+    normalisation = tuple(safety.normalisation for safety in filters)
+    finetune = config.finetune
+    if finetune is None:
+        finetune = isinstance(pretrained.method, RrlSettings | RrlMsdpSettings)
+    if not finetune:
+        return FrozenGate(filters), normalisation
+    learner = _learner(config.safety, pretrained, sizes, config.seeds, seeds)
+    thresholds = [safety.threshold for safety in filters]
+    data, _ = load_data(pretrained)
+    if len(data) > 1:
+        data = [data[pretrained.seeds.index(seed)] for seed in seeds]
+    offline = Batches(
+        data,
+        config.seeds,
+        config.method.batch_size // 2,
+        pretrained.method.violation_share,
+        torch.device("cpu"),
+    )
+    gamma_safe = filters[0].gamma_safe
+    return FinetunedGate(learner, thresholds, normalisation, gamma_safe, offline), normalisation
+
+
+def _filters(
+    config: TrainConfig, pretrained: PretrainConfig, seeds: Sequence[int]
+) -> list[SafetyFilter]:
+    """The filters of these seeds of the pretraining, with the run's own thresholds."""
+    assert config.safety is not None
+    unknown = [seed for seed in seeds if seed not in pretrained.seeds]
+    if unknown:
+        raise ValueError(
+            f"{config.safety}: seed {unknown[0]} was not pretrained; there are "
+            f"{', '.join(map(str, pretrained.seeds))}"
+        )
+    filters = [
+        SafetyFilter.load(config.safety / "filters" / f"seed{seed}.safetensors") for seed in seeds
+    ]
+    if config.thresholds is None:
+        return filters
+    return [f.with_threshold(t) for f, t in zip(filters, config.thresholds, strict=True)]
+
+
+def _learner(
+    folder: Path,
+    pretrained: PretrainConfig,
+    sizes: Sizes,
+    seeds: Sequence[int],
+    safety_seeds: Sequence[int],
+) -> Learner:
+    """A learner whose seed k goes on from what ``safety_seeds[k]`` was pretrained to."""
+    source = build_learner(pretrained.method, sizes, pretrained.seeds)
+    load_checkpoint(source, folder / "checkpoint.safetensors")
+    learner = build_learner(pretrained.method, sizes, seeds)
+    picked = torch.tensor([pretrained.seeds.index(seed) for seed in safety_seeds])
+    old = source.state_dict()
+    learner.load_state_dict(
+        {name: _rows(tensor, len(pretrained.seeds), picked) for name, tensor in old.items()}
+    )
+    return learner
+
+
+def _rows(tensor: torch.Tensor, seeds: int, picked: torch.Tensor) -> torch.Tensor:
+    """The picked seeds' rows of a (seeds * members, ...) tensor."""
+    by_seed = tensor.view(seeds, -1, *tensor.shape[1:])
+    return by_seed[picked].reshape(-1, *tensor.shape[1:])
