@@ -20,6 +20,7 @@ from deep.config import Mix, PretrainConfig
 from deep.data import summarise
 from deep.demo import DemoConfig, demo
 from deep.formats import write_hdf5
+from deep.online.commands import ChooseThreshold, Evaluate, OfflineData, Train
 from deep.pretrain.health import Status
 from deep.report import report
 from deep.run import pretrain
@@ -150,6 +151,10 @@ class Report:
 Command: TypeAlias = (
     Annotated[Collect, tyro.conf.subcommand("collect")]
     | Annotated[Pretrain, tyro.conf.subcommand("pretrain")]
+    | Annotated[OfflineData, tyro.conf.subcommand("offline-data")]
+    | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[ChooseThreshold, tyro.conf.subcommand("choose-threshold")]
+    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Sweep, tyro.conf.subcommand("sweep")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
@@ -160,7 +165,12 @@ Command: TypeAlias = (
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; 0, or 2 after one line about what was wrong, or 130 after Ctrl-C."""
     torch.set_num_threads(1)
-    command: Command = tyro.cli(Command, args=arguments, prog="python -m deep")
+    command: Command = tyro.cli(
+        Command,
+        args=arguments,
+        prog="python -m deep",
+        config=(tyro.conf.OmitSubcommandPrefixes,),
+    )
     try:
         command.run()
     except (ValueError, FloatingPointError) as error:

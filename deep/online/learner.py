@@ -17,12 +17,14 @@ __all__ = ["TaskBatch", "TaskLearner", "TaskLosses", "TaskSettings"]
 
 @dataclass(frozen=True)
 class TaskSettings:
-    """Common settings; the defaults are the authors' but for the size of the networks.
+    """Common settings; the defaults are the authors' but for small networks' size and rate.
 
     Attributes:
         gamma: discount of the reward.
         hidden: widths of the hidden layers (the authors: 256, 256).
-        learning_rate: Adam's.
+        learning_rate: Adam's, at first (the authors: 3e-4).
+        final_rate: what is left of it at the end, after a linear slide over the second
+            half of training (the authors: 1, a constant rate).
         batch_size: transitions a seed and update (the authors: 256).
         polyak: share of the online network that enters its target each update.
         reward_scale: factor on rewards in training; results are in raw rewards.
@@ -30,13 +32,14 @@ class TaskSettings:
 
     gamma: float = 0.99
     hidden: tuple[int, ...] = (64, 64)
-    learning_rate: float = 3e-4
+    learning_rate: float = 1e-3
+    final_rate: float = 0.05
     batch_size: int = 64
     polyak: float = 0.005
     reward_scale: float = 100.0
 
     def __post_init__(self) -> None:
-        for name in ("gamma", "polyak"):
+        for name in ("gamma", "polyak", "final_rate"):
             if not 0 < getattr(self, name) <= 1:
                 raise ValueError(f"{name} must lie in (0, 1], not {getattr(self, name)}")
         for name in ("learning_rate", "batch_size", "reward_scale"):
@@ -93,6 +96,13 @@ class TaskLearner(nn.Module, ABC):
         if not seeds or len(set(seeds)) != len(seeds) or min(seeds) < 0:
             raise ValueError(f"seeds must be distinct non-negative integers, not {list(seeds)}")
         self.seeds = tuple(seeds)
+
+    def slow_down(self, progress: float) -> None:
+        """Set the learning rates for this part of training in [0, 1)."""
+        factor = self.settings.rate(progress)
+        for optimizer in self.optimizers:
+            for group in optimizer.param_groups:
+                group["lr"] = factor * group.setdefault("initial_lr", group["lr"])
 
     @abstractmethod
     def update(self, batch: TaskBatch) -> TaskLosses:

@@ -223,6 +223,7 @@ class _Run:
         batch = self.replay.sample(
             self.updates, self.step, self.config.method.batch_size, self.normalisation
         )
+        self.learner.slow_down(self.step * self.config.copies / self.config.steps)
         losses = self.learner.update(batch)
         self.gate.learn(self.updates, batch, self.learner.policy)
         self.updates += 1

@@ -416,7 +416,7 @@ def test_runs_of_sensors_go_on_where_they_stopped(source: str, tmp_path: Path) -
     data = str(tmp_path / "data.hdf5")
     assert main(["collect", "--task", "static-env", "--out", data, *mix]) == 0
     nested = [part.replace("--", "--mix.") for part in mix] if source == "--task" else []
-    of_method = ["method:dea-rrl-annealed", "--method.hidden", "8", "--method.batch-size", "16"]
+    of_method = ["dea-rrl-annealed", "--hidden", "8", "--batch-size", "16"]
 
     def run(folder: str) -> list[str]:
         given = [source, "static-env" if source == "--task" else data, "--horizon", "30"]
@@ -477,8 +477,8 @@ def test_the_command_line_says_what_is_wrong_in_one_line(
         "or both gamma_safe and threshold\n"
     )
     assert not (tmp_path / "x").exists()
-    assert main(["compare", "--out", str(tmp_path / "y"), "--task", "point"]) == 2
-    assert "point: there is no exact answer" in capsys.readouterr().err
+    assert main(["compare", "--out", str(tmp_path / "y"), "--task", "static-env"]) == 2
+    assert "static-env: there is no exact answer" in capsys.readouterr().err
 
 
 def test_pretraining_from_the_command_line(
