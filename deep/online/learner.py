@@ -46,6 +46,11 @@ class TaskSettings:
             if getattr(self, name) <= 0:
                 raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
 
+    def rate(self, progress: float) -> float:
+        """What is left of the learning rate after this part of training, in [0, 1]."""
+        slid = max(progress - 0.5, 0.0) / 0.5
+        return 1 - slid * (1 - self.final_rate)
+
 
 class TaskBatch(NamedTuple):
     """B transitions for each of K seeds; float32, observations normalised.
