@@ -28,6 +28,7 @@ Actions: TypeAlias = NDArray[np.floating[Any]]
 Policy: TypeAlias = Callable[[Observations, Floats, np.random.Generator], Actions]
 """(observations (n, o), states (n, s), rng) -> actions (n, a) in [-1, 1]."""
 Starts: TypeAlias = Callable[[np.random.Generator, int], Floats]
+COPIES = 64
 
 
 class _Predictor(Protocol):
@@ -84,7 +85,7 @@ def collect(
     rng: np.random.Generator,
     transitions: int,
     *,
-    copies: int = 64,
+    copies: int = COPIES,
     starts: Starts | None = None,
     max_steps: int | None = None,
 ) -> Transitions:
@@ -98,13 +99,29 @@ def collect(
     Raises:
         ValueError: if the data hold no violation, or a number is not positive.
     """
+    return Transitions(**_draw(task, policy, rng, transitions, copies, starts, max_steps))
+
+
+def _draw(
+    task: Task,
+    policy: Policy,
+    rng: np.random.Generator,
+    transitions: int,
+    copies: int,
+    starts: Starts | None,
+    max_steps: int | None,
+) -> dict[str, NDArray[Any]]:
+    """The columns of :func:`collect`, where violations may be missing."""
     if transitions < 1 or copies < 1 or (max_steps is not None and max_steps < 1):
         raise ValueError("transitions, copies and max_steps must be at least 1")
     begin = task.reset if starts is None else starts
     limit = task.time_limit if max_steps is None else min(max_steps, task.time_limit)
     rows = -(-transitions // copies)
     state, age = begin(rng, copies), np.zeros(copies, dtype=np.int64)
-    columns: dict[str, list[NDArray[Any]]] = {name: [] for name in _COLUMNS}
+    columns = {
+        name: np.empty((copies, rows, *shape), dtype=kind)
+        for name, (shape, kind) in _columns(task).items()
+    }
     for row in range(rows):
         observation = task.observe(state)
         action = np.clip(policy(observation, state, rng), -1, 1)
@@ -122,30 +139,30 @@ def collect(
             terminal,
             timeout,
         )
-        for name, value in zip(_COLUMNS, values, strict=True):
-            columns[name].append(value)
+        for column, value in zip(columns.values(), values, strict=True):
+            column[:, row] = value
         done = terminal | timeout
         state = step.next_state
         state[done] = begin(rng, int(done.sum()))
         age[done] = 0
-    return Transitions(**{name: _by_copy(column) for name, column in columns.items()})
+    for name, column in columns.items():  # one copy's episodes after another's
+        columns[name] = column.reshape(-1, *column.shape[2:])
+        columns[name].flags.writeable = False
+    return columns
 
 
-_COLUMNS = (
-    "observations",
-    "actions",
-    "next_observations",
-    "rewards",
-    "costs",
-    "terminals",
-    "timeouts",
-)
-
-
-def _by_copy(column: list[NDArray[Any]]) -> NDArray[Any]:
-    """(rows, copies, ...) -> (copies * rows, ...): one copy's episodes after another's."""
-    stacked = np.stack(column).swapaxes(0, 1)
-    return stacked.reshape(-1, *stacked.shape[2:])
+def _columns(task: Task) -> dict[str, tuple[tuple[int, ...], type[np.generic]]]:
+    """Shape of a row and type of each column."""
+    observation, action = (task.observation_dim,), (task.action_dim,)
+    return {
+        "observations": (observation, np.float32),
+        "actions": (action, np.float32),
+        "next_observations": (observation, np.float32),
+        "rewards": ((), np.float32),
+        "costs": ((), np.float32),
+        "terminals": ((), np.bool_),
+        "timeouts": ((), np.bool_),
+    }
 
 
 @dataclass(frozen=True)
@@ -185,21 +202,35 @@ def collect_mix(
     )
 
 
-MAX_DOUBLINGS = 6
+LARGEST = 1 << 20
+"""The most transitions that are drawn, and held, at once."""
+PATIENCE = 300
+"""Transitions that are drawn for one that is wanted before a source is given up."""
 
 
 def _kept(task: Task, source: Source, rng: np.random.Generator, wanted: int) -> Transitions:
-    """Exactly ``wanted`` transitions that pass the source's filter."""
-    drawn = wanted
-    for _ in range(MAX_DOUBLINGS):
+    """Exactly ``wanted`` transitions that pass the source's filter.
+
+    A draw that gives too few is thrown away for one twice as large; the largest add up.
+    """
+    if source.keep is None:
         data = collect(
-            task, source.policy, rng, drawn, starts=source.starts, max_steps=source.max_steps
+            task, source.policy, rng, wanted, starts=source.starts, max_steps=source.max_steps
         )
-        data = keep_before_violation(data, source.keep)
-        if len(data) >= wanted:
-            return data.take(np.arange(wanted))
-        drawn *= 2
+        return data.take(np.arange(wanted))
+    drawn, total = wanted, 0
+    parts: list[Transitions] = []
+    while total < PATIENCE * wanted:
+        columns = _draw(task, source.policy, rng, drawn, COPIES, source.starts, source.max_steps)
+        total += drawn
+        parts = parts if drawn >= LARGEST else []
+        if columns["costs"].any():
+            parts.append(keep_before_violation(Transitions(**columns), source.keep))
+        found = sum(len(part) for part in parts)
+        if found >= wanted:
+            return concatenate(parts).take(np.arange(wanted))
+        drawn = max(min(2 * drawn, LARGEST), wanted)
     raise ValueError(
-        f"{task.name}: of {drawn // 2:,} transitions only {len(data):,} lie within "
-        f"{source.keep} steps before a violation; {wanted:,} are wanted"
+        f"{task.name}: of {total:,} transitions too few lie within {source.keep} steps before "
+        f"a violation; {wanted:,} are wanted"
     )

@@ -142,8 +142,27 @@ def test_shares_that_do_not_sum_to_one_are_refused() -> None:
 def test_a_source_without_violations_is_refused() -> None:
     task = navigation2()  # the block is 20 steps away; random walkers do not find it
     source = Source(random_policy(task), 1.0, max_steps=3)
-    with pytest.raises(ValueError, match="no violation"):
+    message = "navigation2: of 51,100 transitions too few lie within 100 steps before a violation"
+    with pytest.raises(ValueError, match=message):
         collect_mix(task, [source], np.random.default_rng(0), 100)
+    with pytest.raises(ValueError, match="there is no violation in the data"):
+        collect_mix(task, [replace(source, keep=None)], np.random.default_rng(0), 100)
+
+
+def test_rare_violations_are_waited_for() -> None:
+    task = make_task("static-env")  # once in 4,500 steps of random actions
+    data = collect_mix(task, [Source(random_policy(task), 1.0)], np.random.default_rng(0), 300)
+    assert len(data) == 300
+    assert 3 <= data.costs.sum() <= 5
+
+
+def test_the_largest_draws_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    source = Source(random_policy(BRAKE), 1.0, keep=1)
+    monkeypatch.setattr("deep.collect.LARGEST", 512)
+    data = collect_mix(BRAKE, [source], np.random.default_rng(0), 200)
+    assert len(data) == 200
+    assert (data.costs == 1).all()
+    assert len(np.unique(data.actions)) == 200  # no draw is there twice
 
 
 def test_uniform_starts_cover_the_box_outside_obstacles() -> None:
