@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from deep.online.config import TrainConfig
+from deep.online.train import train
+from deep.task_policy import TrainedPolicy
 from deep.tasks import make_task
 from deep.tasks.safety_gym.real import REAL_NAMES, VARIABLE, RealEnv, RealVectorEnv, worker_python
 from deep.tasks.safety_gym.tasks import NavigationTask
@@ -119,6 +124,32 @@ def test_the_vectorised_point_earns_and_sees_what_the_real_one_does(name: str) -
         )
     assert alive.sum() >= 5
     environment.close()
+
+
+@installed
+@pytest.mark.parametrize("name", REAL_NAMES)
+def test_a_short_training_on_every_real_task(name: str, tmp_path: Path) -> None:
+    config = TrainConfig(
+        task=f"real:{name}",
+        seeds=(0, 1),
+        steps=240,
+        copies=2,
+        start_steps=80,
+        evaluate_every=160,
+        evaluation_episodes=1,
+        episodes=1,
+        log_every=80,
+        checkpoint_every=80,
+    )
+    found = train(config, tmp_path, quiet=True)
+    assert [entry["seed"] for entry in found.seeds] == [0, 1]
+    assert all(1 <= entry["length"] <= 1000 for entry in found.seeds)
+    content = json.loads((tmp_path / "result.json").read_text())
+    assert content["budget"]["updates"] == (240 - 80) // 10
+    policy = TrainedPolicy.load(tmp_path / "policies" / "seed1.safetensors")
+    action = policy.act(np.zeros((3, DIMENSIONS[name]), dtype=np.float32))
+    assert np.isfinite(action).all()
+    assert np.abs(action).max() <= 1
 
 
 @installed
