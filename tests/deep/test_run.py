@@ -125,8 +125,8 @@ def _stop_after_saving(*arguments: object) -> None:
 COMMAND = [
     *(sys.executable, "-m", "deep", "pretrain", "--task", "brake", "--seeds", "0", "3"),
     *("--updates", "600", "--checkpoint-every", "7", "--log-every", "50"),
-    *("--mix.transitions", "400", "method:dea-rrl-annealed"),
-    *("--method.hidden", "8", "--method.batch-size", "16"),
+    *("--mix.transitions", "400", "dea-rrl-annealed"),
+    *("--hidden", "8", "--batch-size", "16"),
 ]
 FROM_COMMAND = replace(TINY, updates=600, checkpoint_every=7, log_every=50)
 
