@@ -128,11 +128,16 @@ class Replay:
         self._rows.flush()
 
     def normalisation(self, steps: int) -> tuple[Normalisation, ...]:
-        """Each seed's, from its observations of the first ``steps`` steps; actions as they are."""
+        """Each seed's, from its observations; actions as they are.
+
+        Of the last ``capacity`` of the first ``steps`` steps: older rows may be those of a
+        stretch that was lost.
+        """
         o, a = self._dims
         identity = Normalisation.identity(o, a)
-        first = self._rows[:, : steps * self.copies, :o]
-        scales = [centre_and_scale(np.asarray(rows)) for rows in first]
+        kept = np.arange(max(steps - self.capacity, 0) * self.copies, steps * self.copies)
+        seen = self._rows[:, kept % self._rows.shape[1], :o]
+        scales = [centre_and_scale(rows) for rows in seen]
         return tuple(
             Normalisation(centre, scale, identity.action_centre, identity.action_scale)
             for centre, scale in scales
