@@ -54,7 +54,7 @@ class CompareConfig:
     """One comparison.
 
     Attributes:
-        task: brake, double-integrator, double-integrator-fine, dubins, navigation1 or
+        task: brake, double-integrator, double-integrator-fine, point, dubins, navigation1 or
             navigation2.
         out: the run folder.
         methods: the forms of Algorithm 1 to train; the oracle always comes along.

@@ -1,9 +1,9 @@
 """Where ``deep`` meets the exact answer: the one module that knows both.
 
 Brake and the double integrator have a closed form, in their own modules; here it is
-also confronted with the tabular twins of ``dead_ends``. The Dubins car is enclosed by two
-models of ``dead_ends``. The two Navigation tasks have no dead-ends. Nothing here enters data,
-training, model selection or thresholds, except the number H.
+also confronted with the tabular twins of ``dead_ends``. The point and the Dubins car are
+each enclosed by two models of ``dead_ends``. The two Navigation tasks have no dead-ends.
+Nothing here enters data, training, model selection or thresholds, except the number H.
 """
 
 from __future__ import annotations
@@ -18,14 +18,17 @@ from numpy.typing import NDArray
 from dead_ends.envs.brake import BrakeLattice, brake
 from dead_ends.envs.double_integrator import double_integrator
 from dead_ends.envs.dubins import dubins
+from dead_ends.envs.point import PointModel, point_among_discs
+from dead_ends.implicit import SURVIVES, classify_implicit
 from dead_ends.labels import classify
-from deep.tasks import Brake, DoubleIntegrator, Dubins, Navigation, Task
+from deep.tasks import Brake, DoubleIntegrator, Dubins, Navigation, PointAmongDiscs, Task
 from deep.tasks.shapes import inside_any
 from deep.tasks.task import Bools, Floats
 
 __all__ = [
     "ExactAnswer",
     "ExactTask",
+    "enclosed_point",
     "exact_answer",
     "oracle_allows",
     "oracle_blocks",
@@ -68,12 +71,14 @@ def exact_answer(task: Task) -> ExactAnswer:
             return _closed_form(task)
         case Dubins():
             return _enclosed_dubins(task)
+        case PointAmongDiscs():
+            return enclosed_point(task, POINT_RESOLUTION)
         case Navigation():
             return _without_dead_ends(task)
         case _:
             raise ValueError(
-                f"{task.name}: there is no exact answer; brake, double-integrator, dubins, "
-                "navigation1 and navigation2 have one"
+                f"{task.name}: there is no exact answer; brake, double-integrator, point, "
+                "dubins, navigation1 and navigation2 have one"
             )
 
 
@@ -125,6 +130,47 @@ def _enclosed_dubins(task: Dubins) -> ExactAnswer:
 
     assert outer.horizon is not None  # finite and deterministic
     return ExactAnswer(task, outer.horizon, dead, safe, None)
+
+
+POINT_RESOLUTION = 3
+"""Cells in the change of velocity of a step: 220 million states, less than a minute."""
+
+
+def enclosed_point(task: PointAmongDiscs, resolution: int) -> ExactAnswer:
+    """Inner and outer safe sets on a lattice; between them nothing is certain.
+
+    H is that of the outer model's states. A point all of whose actions lead to such dead states
+    may survive a step longer.
+    """
+    pair = point_among_discs(
+        [(disc.x, disc.y, disc.radius) for disc in task.discs],
+        task.half_width,
+        task.max_speed,
+        resolution,
+        acceleration=task.acceleration,
+        time_step=task.dt,
+    )
+    goes_on_inside, _ = _lasting(pair.inner)
+    goes_on_outside, horizon = _lasting(pair.outer)
+
+    def safe(state: Floats) -> Bools:
+        return goes_on_inside(state) & ~inside_any(task.obstacles, state[:, :2])
+
+    def dead(state: Floats) -> Bools:
+        return ~goes_on_outside(state) & ~inside_any(task.obstacles, state[:, :2])
+
+    return ExactAnswer(task, horizon, dead, safe, None)
+
+
+def _lasting(model: PointModel) -> tuple[Callable[[Floats], Bools], int]:
+    """Whether an action leads on to states that need not fail; H in steps of the point."""
+    labelling = classify_implicit(model.successor, model.fail, model.num_states, model.num_actions)
+    lasting = labelling.survival_time[model.between] == SURVIVES
+
+    def goes_on(state: Floats) -> Bools:
+        return ~np.isnan(model.next_velocity(state, lasting)[:, 0])
+
+    return goes_on, labelling.horizon // 2
 
 
 def oracle_blocks(answer: ExactAnswer, state: Floats, action: NDArray[np.floating]) -> Bools:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from deep.evaluate import LearnedGate, action_grid
@@ -22,16 +23,17 @@ if TYPE_CHECKING:
 __all__ = ["boundary_axes", "boundary_figure", "learned_value", "sweep_figure"]
 
 CELLS = 160
-ACTIONS = 17
+ACTIONS = {1: 17, 2: 5}
+"""Of the grid in each action coordinate, by how many there are."""
 SAFE, GAP, DEAD, FAIL = "#f4f4f0", "#dcd6c4", "#e8a49c", "#8c8c8c"
 LEARNED = "#1f4e9c"
 
 
 def _box_grid(answer: ExactAnswer) -> tuple[Floats, Floats, Floats]:
-    """Axes of a grid over the first two coordinates, and its points; the others are 0."""
+    """Axes of a grid over the first two coordinates, and its points."""
     low, high = answer.task.region
     x, y = (np.linspace(a, b, CELLS) for a, b in zip(low[:2], high[:2], strict=True))
-    points = np.zeros((CELLS**2, len(low)))
+    points = np.tile(answer.task.drawn_state, (CELLS**2, 1))
     points[:, :2] = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     return x, y, points
 
@@ -40,7 +42,7 @@ def learned_value(answer: ExactAnswer, safety: SafetyFilter, points: Floats) -> 
     """float (n,): min over a dense grid of actions of Q_c."""
     gate = LearnedGate(answer.task, safety)
     least = np.full(len(points), np.inf)
-    for action in action_grid(answer.task.action_dim, ACTIONS):
+    for action in action_grid(answer.task.action_dim, ACTIONS[answer.task.action_dim]):
         repeated = np.broadcast_to(action, (len(points), len(action)))
         least = np.minimum(least, gate.critic(points, repeated))
     return least
@@ -53,12 +55,15 @@ def boundary_axes(
     x, y, points = _box_grid(answer)
     violation = inside_any(answer.task.obstacles, answer.task.position(points))
     label = np.select([violation, answer.dead(points), answer.safe(points)], [3, 2, 0], default=1)
-    axes.contourf(
+    axes.pcolormesh(
         x,
         y,
         label.reshape(CELLS, CELLS),
-        levels=[-0.5, 0.5, 1.5, 2.5, 3.5],
-        colors=[SAFE, GAP, DEAD, FAIL],
+        cmap=ListedColormap([SAFE, GAP, DEAD, FAIL]),
+        vmin=-0.5,
+        vmax=3.5,
+        shading="nearest",
+        rasterized=True,
     )
     for safety in filters:
         value = learned_value(answer, safety, points).reshape(CELLS, CELLS)
@@ -84,10 +89,18 @@ def boundary_figure(answer: ExactAnswer, filters: Mapping[str, Sequence[SafetyFi
     for axes in grid.flat[len(filters) :]:
         axes.set_axis_off()
     figure.suptitle(
-        f"{answer.task.name}: dead-ends (red) and learned boundaries (blue, one a seed)",
+        f"{answer.task.name}{_fixed_coordinates(answer)}: dead-ends (red) and learned boundaries "
+        "(blue, one a seed)",
         fontsize=10,
     )
     return figure
+
+
+def _fixed_coordinates(answer: ExactAnswer) -> str:
+    """What is fixed in the pictures of a task with more than two coordinates."""
+    task = answer.task
+    pairs = list(zip(task.state_names, task.drawn_state, strict=True))[2:]
+    return "".join(f", {name} = {value:g}" for name, value in pairs)
 
 
 def sweep_figure(task: str, scores: Sequence[SweepScore]) -> Figure:

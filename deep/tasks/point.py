@@ -3,7 +3,7 @@
     v' = clip(v + A u dt, -v_max, v_max) by coordinate,  p' = p + (v + v') dt / 2,
     violation iff p' lies in a disc or touches the wall       (u in [-1, 1]^2)
 
-Four dimensions, no closed form: the dead set is bracketed on a grid.
+Four dimensions, no closed form: ``dead_ends.envs.point`` encloses the safe set.
 """
 
 from __future__ import annotations
@@ -87,6 +87,11 @@ class PointAmongDiscs(Task):
         """The square."""
         edge = 1.05 * self.half_width
         return (-edge, edge, -edge, edge)
+
+    @property
+    def drawn_state(self) -> Floats:
+        """Fast to the right: at rest nothing is dead."""
+        return np.array([0.0, 0.0, 0.9 * self.max_speed, 0.0])
 
     @property
     def obstacles(self) -> tuple[Shape, ...]:

@@ -130,6 +130,11 @@ class Task(ABC):
         """The plane's part that is drawn: x from, x to, y from, y to."""
 
     @property
+    def drawn_state(self) -> Floats:
+        """float64 (state dim,): pictures of critics vary the first two coordinates of it."""
+        return np.zeros(len(self.low))
+
+    @property
     @abstractmethod
     def obstacles(self) -> tuple[Shape, ...]:
         """What must not be hit in any state, in the plane of :meth:`position`."""

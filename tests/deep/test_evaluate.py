@@ -29,6 +29,7 @@ from deep.evaluate import (
 )
 from deep.exact_answers import (
     ExactAnswer,
+    enclosed_point,
     exact_answer,
     oracle_allows,
     oracle_blocks,
@@ -37,7 +38,14 @@ from deep.exact_answers import (
 )
 from deep.plots import sweep_figure
 from deep.sweep import SweepScore, _runs
-from deep.tasks import Brake, DoubleIntegrator, Dubins, Navigation, make_task
+from deep.tasks import (
+    Brake,
+    DoubleIntegrator,
+    Dubins,
+    Navigation,
+    PointAmongDiscs,
+    make_task,
+)
 
 
 def _load(name: str) -> ModuleType:
@@ -122,6 +130,52 @@ def test_the_dubins_car_is_enclosed() -> None:
         exact_answer(Dubins(half_width=3.25))
 
 
+def test_the_point_is_enclosed() -> None:
+    task = PointAmongDiscs()
+    answer = enclosed_point(task, 1)
+    rng = np.random.default_rng(0)
+    points = box_points(answer, 6000, 3, 0.05, rng)
+    assert 0 < points.gap < 0.12
+    assert 0.05 < points.dead.mean() < 0.3
+    # Full braking, which many of the safe states can rely on, saves no dead one.
+    state, alive = points.state, np.ones(len(points.state), dtype=np.bool_)
+    for _ in range(6):
+        action = np.clip(-state[:, 2:] / (task.acceleration * task.dt), -1, 1)
+        step = task.step(state, action, rng)
+        alive &= ~step.violation
+        state = step.next_state
+    assert not (alive & points.dead).any()
+    assert alive[~points.dead].mean() > 0.9
+    # Nor do any of the actions of the grid lead from a dead state to a safe one.
+    assert points.unsafe[points.dead].any()
+    assert not points.fine[points.dead].any()
+    fails = np.zeros((1, 4))
+    assert not answer.dead(fails)[0]
+    assert not answer.safe(fails)[0]
+
+
+def test_compare_scores_the_point_outside_the_gap(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("deep.exact_answers.POINT_RESOLUTION", 1)
+    config = CompareConfig(
+        task="point",
+        out=tmp_path / "run",
+        methods=("dea-rrl-annealed",),
+        seeds=(0,),
+        updates=3,
+        transitions=300,
+        points=300,
+        actions=3,
+        episodes=20,
+        task_policy_steps=256,
+    )
+    scores = compare(config, quiet=True)
+    assert {score.method for score in scores} == {"dea-rrl-annealed"}  # no oracle in the gap
+    assert "between the enclosing sets" in (tmp_path / "run" / "summary.md").read_text()
+    assert (tmp_path / "run" / "boundary.png").stat().st_size > 10_000
+
+
 @pytest.mark.parametrize("name", ["navigation1", "navigation2"])
 def test_navigation_has_no_dead_ends(name: str) -> None:
     task = make_task(name)
@@ -164,8 +218,8 @@ def test_navigations_oracle_never_fails(name: str) -> None:
 
 
 def test_tasks_without_an_exact_answer_are_refused() -> None:
-    with pytest.raises(ValueError, match="point: there is no exact answer"):
-        exact_answer(make_task("point"))
+    with pytest.raises(ValueError, match="static-env: there is no exact answer"):
+        exact_answer(make_task("static-env"))
 
 
 @pytest.mark.parametrize("answer", answers(), ids=lambda a: a.task.name)
