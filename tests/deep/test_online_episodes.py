@@ -63,9 +63,10 @@ def test_one_copy_is_a_plain_loop(safety: SafetyFilter | None) -> None:
     assert episodes.length == expected[1].mean()
 
 
+@pytest.mark.parametrize("threshold", [0.5, 0.98])
 @pytest.mark.parametrize("copies", [None, 1, 3, 4, 10, 25])
-def test_every_copy_runs_its_share_of_whole_episodes(copies: int | None) -> None:
-    safety = braking_filter()
+def test_every_copy_runs_its_share_of_whole_episodes(copies: int | None, threshold: float) -> None:
+    safety = braking_filter(threshold)
     episodes = run_episodes("brake", careless_near, safety, 10, seed=3, copies=copies)
     n = min(copies or 10, 10)
     env = TaskVectorEnv(make_task("brake"), n)
@@ -85,6 +86,8 @@ def test_every_copy_runs_its_share_of_whole_episodes(copies: int | None) -> None
         assert found == pytest.approx(column)
     whole = episodes.violated | (episodes.lengths == 12)
     assert whole.all()
+    if threshold == 0.98:  # episodes of different lengths
+        assert 0 < episodes.violated.sum() < 10
 
 
 def test_the_first_to_finish_are_those_that_failed() -> None:
