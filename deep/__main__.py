@@ -20,7 +20,7 @@ from deep.config import Mix, PretrainConfig
 from deep.data import summarise
 from deep.demo import DemoConfig, demo
 from deep.formats import write_hdf5
-from deep.online.commands import ChooseThreshold, Evaluate, OfflineData, Train
+from deep.online.commands import ChooseThreshold, Evaluate, OfflineData, Train, TrainOffline
 from deep.pretrain.health import Status
 from deep.report import report
 from deep.run import pretrain
@@ -153,6 +153,7 @@ Command: TypeAlias = (
     | Annotated[Pretrain, tyro.conf.subcommand("pretrain")]
     | Annotated[OfflineData, tyro.conf.subcommand("offline-data")]
     | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[TrainOffline, tyro.conf.subcommand("train-offline")]
     | Annotated[ChooseThreshold, tyro.conf.subcommand("choose-threshold")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Compare, tyro.conf.subcommand("compare")]

@@ -87,7 +87,14 @@ class Batches:
             torch.from_numpy(np.concatenate([np.asarray(getattr(part, name)) for part in data]))
             .to(torch.float32)
             .to(device)
-            for name in ("observations", "actions", "next_observations", "costs", "terminals")
+            for name in (
+                "observations",
+                "actions",
+                "next_observations",
+                "costs",
+                "terminals",
+                "rewards",
+            )
         )
         self._action_dim = data[0].actions.shape[1]
         self._block = -1
@@ -95,16 +102,24 @@ class Batches:
 
     def get(self, update: int) -> Batch:
         """The batch of this update (0, 1, ...)."""
+        index = self._rows(update)
+        observation, action, following, cost, terminal = (c[index] for c in self._columns[:5])
+        noise = np.stack([draw.noise[:, update % BLOCK] for draw in self._draws], axis=1)
+        first, second = torch.from_numpy(noise).to(self._device)
+        return Batch(observation, action, following, cost, terminal, first, second)
+
+    def rewards(self, update: int) -> Tensor:
+        """The rewards (K, B) of the same transitions, for learners of task policies."""
+        return self._columns[5][self._rows(update)]
+
+    def _rows(self, update: int) -> Tensor:
+        """Which transitions (K, B) the update gets."""
         block, place = divmod(update, BLOCK)
         if block != self._block:
             self._draws = [self._draw(k, block) for k in range(len(self.seeds))]
             self._block = block
         rows = np.stack([draw.rows[place] for draw in self._draws])
-        noise = np.stack([draw.noise[:, place] for draw in self._draws], axis=1)
-        index = torch.from_numpy(rows).to(self._device)
-        observation, action, following, cost, terminal = (c[index] for c in self._columns)
-        first, second = torch.from_numpy(noise).to(self._device)
-        return Batch(observation, action, following, cost, terminal, first, second)
+        return torch.from_numpy(rows).to(self._device)
 
     def _draw(self, k: int, block: int) -> _Draw:
         rng = np.random.default_rng((self.seeds[k], block))

@@ -1,8 +1,9 @@
-"""What run folders have in common: who made them, their logs, and a polite Ctrl-C."""
+"""What run folders have in common: who made them from what, their logs, a polite Ctrl-C."""
 
 from __future__ import annotations
 
 import csv
+import hashlib
 import os
 import platform
 import signal
@@ -16,7 +17,7 @@ from typing import Any
 
 from dead_ends.io.atomic import atomic_path
 
-__all__ = ["CsvLog", "InterruptAfterUpdate", "versions"]
+__all__ = ["CsvLog", "InterruptAfterUpdate", "fingerprint", "versions"]
 
 
 def versions() -> dict[str, str]:
@@ -37,6 +38,20 @@ def _git_revision() -> str:
         check=False,
     )
     return run.stdout.strip()
+
+
+def fingerprint(path: Path | None) -> str | None:
+    """The SHA-256 of a data file, so that a run knows its data again; None of none.
+
+    Raises:
+        ValueError: if there is no such file.
+    """
+    if path is None:
+        return None
+    if not path.is_file():
+        raise ValueError(f"{path}: there is no such file")
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 class InterruptAfterUpdate:

@@ -16,7 +16,15 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-__all__ = ["ActionValue", "BatchedMLP", "Critic", "GaussianPolicy", "StateValue", "copy_slowly"]
+__all__ = [
+    "ActionValue",
+    "BatchedMLP",
+    "Critic",
+    "GaussianPolicy",
+    "StateValue",
+    "TaskValue",
+    "copy_slowly",
+]
 
 LOG_STD_RANGE = (-20.0, 2.0)
 
@@ -121,18 +129,35 @@ class Critic(ActionValue):
         return torch.sigmoid(self.logits(observation, action).amax(dim=1))
 
 
-class StateValue(nn.Module):
-    """V_c(s) of K seeds, in (0, 1)."""
+class TaskValue(nn.Module):
+    """V(s) of K seeds; the output is any real number, a task policy's return."""
 
-    def __init__(self, seeds: Sequence[int], observation_dim: int, hidden: Sequence[int]) -> None:
+    def __init__(
+        self,
+        seeds: Sequence[int],
+        observation_dim: int,
+        hidden: Sequence[int],
+        name: str = "task value",
+    ) -> None:
         super().__init__()
-        generators = list(_generators(seeds, "value", 1))
+        generators = list(_generators(seeds, name, 1))
         self.mlp = BatchedMLP([observation_dim, *hidden, 1], generators)
 
     def forward(self, observation: Tensor) -> Tensor:
         """(K, B, o) -> (K, B)."""
         output: Tensor = self.mlp(observation)
-        return torch.sigmoid(output.squeeze(-1))
+        return output.squeeze(-1)
+
+
+class StateValue(TaskValue):
+    """V_c(s) of K seeds, in (0, 1): the sigmoid of a value."""
+
+    def __init__(self, seeds: Sequence[int], observation_dim: int, hidden: Sequence[int]) -> None:
+        super().__init__(seeds, observation_dim, hidden, name="value")
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """(K, B, o) -> (K, B)."""
+        return torch.sigmoid(super().forward(observation))
 
 
 class GaussianPolicy(nn.Module):

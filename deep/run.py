@@ -8,7 +8,6 @@ up again from its last checkpoint ends as if nothing had happened.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import time
 from dataclasses import dataclass, replace
@@ -24,7 +23,7 @@ from deep.batches import Batches
 from deep.checkpoint import load_checkpoint, save_checkpoint
 from deep.config import Mix, PretrainConfig, config_from_json, config_to_json, resolve
 from deep.data import Transitions
-from deep.folder import CsvLog, InterruptAfterUpdate, versions
+from deep.folder import CsvLog, InterruptAfterUpdate, fingerprint, versions
 from deep.formats import read_hdf5
 from deep.pretrain import Learner, Sizes, build_learner
 from deep.pretrain.extract import extract_filter
@@ -37,6 +36,7 @@ __all__ = [
     "centre_and_scale",
     "load_data",
     "normalisation_of",
+    "normalise",
     "open_run",
     "pretrain",
     "read_run",
@@ -84,9 +84,9 @@ def open_run(config: PretrainConfig, folder: Path) -> PretrainConfig:
         if read_run(folder) != config_from_json(plain):
             raise ValueError(f"{folder} holds a run with another configuration")
         return resolved
-    fingerprint = _fingerprint(resolved.data)
+    data = fingerprint(resolved.data)
     folder.mkdir(parents=True, exist_ok=True)
-    content = {"run": plain, "made with": versions(), "data": fingerprint}
+    content = {"run": plain, "made with": versions(), "data": data}
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(content, indent=2) + "\n")
     return resolved
@@ -103,18 +103,9 @@ def read_run(folder: Path) -> PretrainConfig:
         raise ValueError(f"{folder}: there is no run here (no config.json)")
     content = json.loads(path.read_text())
     config = config_from_json(content["run"])
-    if _fingerprint(config.data) != content["data"]:
+    if fingerprint(config.data) != content["data"]:
         raise ValueError(f"{config.data}: the data have changed since the run began")
     return config
-
-
-def _fingerprint(path: Path | None) -> str | None:
-    if path is None:
-        return None
-    if not path.is_file():
-        raise ValueError(f"{path}: there is no such file")
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def normalisation_of(data: Transitions) -> Normalisation:
@@ -150,7 +141,8 @@ def _moments(x: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.fl
     return mean, np.sqrt(squares / len(x))
 
 
-def _normalised(data: Transitions, n: Normalisation) -> Transitions:
+def normalise(data: Transitions, n: Normalisation) -> Transitions:
+    """The data with observations and actions as networks see them."""
     return replace(
         data,
         observations=_scaled(data.observations, n.observation_centre, n.observation_scale),
@@ -178,7 +170,7 @@ def load_data(config: PretrainConfig) -> tuple[list[Transitions], list[Normalisa
     if config.data is not None:
         raw = read_hdf5(config.data)
         normalisation = normalisation_of(raw)
-        return [_normalised(raw, normalisation)], [normalisation] * len(config.seeds)
+        return [normalise(raw, normalisation)], [normalisation] * len(config.seeds)
     assert config.task is not None
     task = make_task(config.task)
     pairs = [_collected(task, config.mix, seed) for seed in config.seeds]
@@ -196,7 +188,7 @@ def _collected(task: Task, mix: Mix, seed: int) -> tuple[Transitions, Normalisat
         action_centre=identity.action_centre,  # a task's actions fill [-1, 1]
         action_scale=identity.action_scale,
     )
-    return _normalised(data, found), found
+    return normalise(data, found), found
 
 
 def pretrain(config: PretrainConfig, folder: Path, *, quiet: bool = False) -> PretrainResult:

@@ -1,4 +1,4 @@
-"""The commands of online training: train, evaluate, offline-data, choose-threshold."""
+"""The commands around task policies: training, online and offline, and evaluation."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from deep.data import summarise
 from deep.formats import write_hdf5
 from deep.online.choose import choose_threshold, read_threshold, write_choice
 from deep.online.config import TrainConfig
+from deep.online.offline import OfflineConfig, train_offline
 from deep.online.offline_data import offline_data
 from deep.online.plug import evaluate_policies
 from deep.online.train import train
 
-__all__ = ["ChooseThreshold", "Evaluate", "OfflineData", "Train", "seed_lines"]
+__all__ = ["ChooseThreshold", "Evaluate", "OfflineData", "Train", "TrainOffline", "seed_lines"]
 
 
 def seed_lines(seeds: Iterable[dict[str, Any]]) -> Iterable[str]:
@@ -54,6 +55,25 @@ class Train:
                 raise ValueError("give either threshold or threshold_from")
             config = replace(config, threshold=(read_threshold(self.threshold_from),))
         for line in seed_lines(train(config, self.out).seeds):
+            print(line)
+        print(self.out / "result.json")
+
+
+@dataclass(frozen=True)
+class TrainOffline:
+    """Train task policies from recorded transitions alone (IQL).
+
+    Attributes:
+        out: the run folder; the same command goes on where it stopped.
+        run_config: the run.
+    """
+
+    out: Path
+    run_config: Annotated[OfflineConfig, tyro.conf.arg(name="")]
+
+    def run(self) -> None:
+        """Train, evaluate, and say what came out."""
+        for line in seed_lines(train_offline(self.run_config, self.out).seeds):
             print(line)
         print(self.out / "result.json")
 

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from dead_ends.io.atomic import atomic_path
-from deep.folder import versions
-from deep.online.episodes import run_episodes
+from deep.online.results import evaluate, seed_entry, write_result
 from deep.safety_filter import SafetyFilter
 from deep.task_policy import TrainedPolicy
 
@@ -48,32 +47,24 @@ def evaluate_policies(
     run = json.loads(path.read_text())
     where = task or run["task"]
     begin = time.perf_counter()
-    seeds, methods = [], set()
-    for entry in run["seeds"]:
-        seed = int(entry["seed"])
-        policy = TrainedPolicy.load(policies / "policies" / f"seed{seed}.safetensors")
-        gate = None
-        if safety is not None:
-            gate = SafetyFilter.load(safety / "filters" / f"seed{seed}.safetensors")
-            gate = gate if threshold is None else gate.with_threshold(threshold)
-            methods.add(gate.method)
-        found = run_episodes(where, policy.act, gate, episodes, seed)
-        seeds.append(
-            {
-                "seed": seed,
-                "tv": None,
-                "episodes": None,
-                "acr": found.acr,
-                "avr": found.avr,
-                "arr": found.arr,
-                "length": found.length,
-                "training_arr": None,
-                "threshold": None if gate is None else gate.threshold,
-            }
+    numbers = [int(entry["seed"]) for entry in run["seeds"]]
+    trained = [
+        TrainedPolicy.load(policies / "policies" / f"seed{seed}.safetensors") for seed in numbers
+    ]
+    gates = [] if safety is None else _filters(safety, numbers, threshold)
+    thresholds: list[float | None] = [gate.threshold for gate in gates]
+    seeds = [
+        seed_entry(seed, found, tv=None, episodes=None, training_arr=None, threshold=epsilon)
+        for seed, found, epsilon in zip(
+            numbers,
+            evaluate(where, trained, gates, episodes),
+            thresholds or [None] * len(numbers),
+            strict=True,
         )
+    ]
     content = {
         "task": where,
-        "method": "+".join([run["method"], *sorted(methods)]),
+        "method": "+".join([run["method"], *sorted({gate.method for gate in gates})]),
         "budget": {
             "env_steps": run["budget"]["env_steps"],
             "updates": run["budget"]["updates"],
@@ -83,9 +74,12 @@ def evaluate_policies(
         "policies": str(policies),
         "safety": None if safety is None else str(safety),
         "seeds": seeds,
-        "made with": versions(),
     }
     out.mkdir(parents=True, exist_ok=True)
-    with atomic_path(out / "result.json") as temporary:
-        temporary.write_text(json.dumps(content, indent=2) + "\n")
+    write_result(out, content)
     return tuple(seeds)
+
+
+def _filters(safety: Path, seeds: Sequence[int], threshold: float | None) -> list[SafetyFilter]:
+    loaded = [SafetyFilter.load(safety / "filters" / f"seed{seed}.safetensors") for seed in seeds]
+    return loaded if threshold is None else [gate.with_threshold(threshold) for gate in loaded]

@@ -16,10 +16,8 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -27,55 +25,47 @@ from numpy.typing import NDArray
 from torch import nn
 from tqdm import tqdm
 
-from dead_ends.io.atomic import atomic_path
 from deep.checkpoint import load_checkpoint, save_checkpoint
-from deep.folder import CsvLog, InterruptAfterUpdate, versions
+from deep.folder import CsvLog, InterruptAfterUpdate
 from deep.online.config import (
     TrainConfig,
     build_task_learner,
     task_method_name,
-    train_config_from_json,
     train_config_to_json,
 )
 from deep.online.counts import Counts
-from deep.online.episodes import Episodes, run_episodes
-from deep.online.fleet import REAL, Fleet
+from deep.online.fleet import Fleet
 from deep.online.gate import FinetunedGate
 from deep.online.learner import TaskLearner, TaskLosses
 from deep.online.noise import ActionNoise
 from deep.online.pretrained import build_gate
 from deep.online.replay import Arrival, Replay, normalised
+from deep.online.results import (
+    EPISODES_KEPT_APART,
+    EVALUATIONS,
+    TrainResult,
+    checked_losses,
+    evaluate,
+    evaluation_rows,
+    open_folder,
+    read_result,
+    save_all,
+    seed_entry,
+    task_policies,
+    write_result,
+)
 from deep.pretrain import Learner, method_name
 from deep.pretrain.learner import Sizes
 from deep.run import read_run
-from deep.safety_filter import Normalisation, SafetyFilter
+from deep.safety_filter import Normalisation
 from deep.task_policy import TrainedPolicy
 
-__all__ = ["TrainResult", "train"]
+__all__ = ["method_of", "train"]
 
-REAL_COPIES = 4
 PROGRESS = (
     "step", "seed", "episodes", "violations", "interventions", "return", "length",
     "critic_loss", "policy_loss", "seconds",
 )  # fmt: skip
-EVALUATIONS = ("step", "seed", "episodes", "acr", "avr", "arr", "length")
-EPISODES_KEPT_APART = 1000
-"""Evaluations during training draw other episodes than the one at the end."""
-
-
-@dataclass(frozen=True)
-class TrainResult:
-    """What a finished run says.
-
-    Attributes:
-        folder: where it is.
-        method: as in the tables: sac, wcsac, or the form of the correction.
-        seeds: one entry a seed, as in ``result.json``.
-    """
-
-    folder: Path
-    method: str
-    seeds: tuple[dict[str, Any], ...]
 
 
 def train(config: TrainConfig, folder: Path, *, quiet: bool = False) -> TrainResult:
@@ -87,17 +77,15 @@ def train(config: TrainConfig, folder: Path, *, quiet: bool = False) -> TrainRes
         ValueError: for a folder with another run, or a pretraining that does not fit.
         FloatingPointError: if a loss is not a number; the last checkpoint stays.
     """
-    _open_folder(config, folder)
-    result = folder / "result.json"
-    if not result.exists():
+    open_folder(folder, train_config_to_json(config))
+    if not (folder / "result.json").exists():
         run = _Run(config, folder)
         try:
             run.train(quiet)
             run.finish()
         finally:
             run.fleet.close()
-    content = json.loads(result.read_text())
-    return TrainResult(folder, content["method"], tuple(content["seeds"]))
+    return read_result(folder)
 
 
 def method_of(config: TrainConfig) -> str:
@@ -105,18 +93,6 @@ def method_of(config: TrainConfig) -> str:
     if config.safety is None:
         return task_method_name(config.method)
     return method_name(read_run(config.safety).method)
-
-
-def _open_folder(config: TrainConfig, folder: Path) -> None:
-    path = folder / "config.json"
-    plain = train_config_to_json(config)
-    if path.exists():
-        if train_config_from_json(json.loads(path.read_text())["run"]) != config:
-            raise ValueError(f"{folder} holds a run with another configuration")
-        return
-    folder.mkdir(parents=True, exist_ok=True)
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps({"run": plain, "made with": versions()}, indent=2) + "\n")
 
 
 class _State(nn.Module):
@@ -143,8 +119,11 @@ class _Run:
         if isinstance(self.gate, FinetunedGate):
             learners.append(self.gate.learner)
         self.state = _State(learners)
+        checkpoint, replay = folder / "checkpoint.safetensors", folder / "replay.bin"
+        if checkpoint.exists() and not replay.exists():
+            raise ValueError(f"{replay}: the run cannot go on without its replay buffer")
         self.replay = Replay(
-            folder / "replay.bin",
+            replay,
             config.seeds,
             config.copies,
             config.replay // config.copies,
@@ -155,7 +134,6 @@ class _Run:
         self.updates = 0
         self.step = 0
         self.actions = ActionNoise(config.seeds, config.copies, sizes.action)
-        checkpoint = folder / "checkpoint.safetensors"
         self.observation = self._resume(checkpoint) if checkpoint.exists() else self.fleet.reset()
         done = self.step * config.copies
         self.progress = CsvLog(folder / "progress.csv", PROGRESS, done)
@@ -170,18 +148,21 @@ class _Run:
             desc=f"{config.task} {self.folder.name}",
         )  # fmt: skip
         before, begin = self.counts.seconds, time.perf_counter()
+        latest: TaskLosses | None = None
         with bar, InterruptAfterUpdate() as interrupt:
             while self.step < total:
                 losses = self.advance()
+                latest = losses or latest
                 bar.update(config.copies)
                 self.counts.seconds = before + time.perf_counter() - begin
                 stop = interrupt.asked  # read once: it may be set at any moment
                 done = self.step * config.copies
-                if done % config.log_every == 0:
+                if done % config.log_every == 0 or self.step == total:
                     self._log(done, losses)
                 if done % config.evaluate_every == 0 and self.normalisation:
                     self._log_evaluation(done)
                 if done % config.checkpoint_every == 0 or stop or self.step == total:
+                    self._checked(done, latest)
                     self._save()
                 if stop:
                     raise KeyboardInterrupt
@@ -229,91 +210,61 @@ class _Run:
         self.updates += 1
         return losses
 
+    def _checked(self, done: int, losses: TaskLosses | None) -> list[list[str]]:
+        """Every seed's losses as they are written down."""
+        return [
+            checked_losses(seed, k, losses, f"step {done}")
+            for k, seed in enumerate(self.config.seeds)
+        ]
+
     def _log(self, done: int, losses: TaskLosses | None) -> None:
-        rows = []
-        for k, seed in enumerate(self.config.seeds):
-            numbers = [float(loss[k]) for loss in losses] if losses else [None, None]
-            if any(x is not None and not np.isfinite(x) for x in numbers):
-                raise FloatingPointError(
-                    f"step {done}: a loss of seed {seed} is not a number; "
-                    "try a smaller learning rate"
-                )
-            shown = ("" if x is None else f"{x:.6g}" for x in numbers)
-            rows.append(
-                (done, seed, *self.counts.row(k, done), *shown, f"{self.counts.seconds:.1f}")
-            )
-        self.progress.write(rows)
+        shown, seconds = self._checked(done, losses), f"{self.counts.seconds:.1f}"
+        self.progress.write(
+            (done, seed, *self.counts.row(k, done), *shown[k], seconds)
+            for k, seed in enumerate(self.config.seeds)
+        )
         self.counts.begin_row(done)
 
     def _log_evaluation(self, done: int) -> None:
-        episodes = self.evaluate(self.config.evaluation_episodes, EPISODES_KEPT_APART)
-        self.evaluations.write(
-            (done, seed, len(e.returns), *(f"{x:.6g}" for x in (e.acr, e.avr, e.arr, e.length)))
-            for seed, e in zip(self.config.seeds, episodes, strict=True)
-        )
-
-    def evaluate(self, episodes: int, stream: int) -> list[Episodes]:
-        """Whole episodes of every seed's mean policy behind the filter of the moment."""
-        filters = self.gate.filters() or (None,) * len(self.config.seeds)
-        copies = REAL_COPIES if self.config.task.startswith(REAL) else None
-        return [
-            run_episodes(
-                self.config.task, policy.act, safety, episodes, policy.seed + stream, copies
-            )
-            for policy, safety in zip(self.policies(), filters, strict=True)
-        ]
+        config = self.config
+        found = evaluate(
+            config.task, self.policies(), self.gate.filters(), config.evaluation_episodes,
+            EPISODES_KEPT_APART,
+        )  # fmt: skip
+        self.evaluations.write(evaluation_rows(done, config.seeds, found))
 
     def policies(self) -> tuple[TrainedPolicy, ...]:
         """Every seed's task policy of the moment."""
-        mlp, seeds = self.learner.policy.mlp, self.config.seeds
-        return tuple(
-            TrainedPolicy(
-                tuple(
-                    (w[k].detach().numpy().copy(), b[k, 0].detach().numpy().copy())
-                    for w, b in zip(mlp.weights, mlp.biases, strict=True)
-                ),
-                normalisation,
-                self.method,
-                seed,
-            )
-            for k, (seed, normalisation) in enumerate(zip(seeds, self.normalisation, strict=True))
-        )
+        return task_policies(self.learner, self.normalisation, self.method)
 
     def finish(self) -> None:
         """Evaluate, write policies and filters, say what came out, forget the replay buffer."""
         config, counts = self.config, self.counts
-        episodes = self.evaluate(config.episodes, 0)
-        filters = self.gate.filters()
-        _save_all(self.folder / "policies", config.seeds, self.policies())
-        _save_all(self.folder / "filters", config.seeds, filters)
+        policies, filters = self.policies(), self.gate.filters()
+        found = evaluate(config.task, policies, filters, config.episodes)
+        save_all(self.folder / "policies", config.seeds, policies)
+        save_all(self.folder / "filters", config.seeds, filters)
         seeds = [
-            {
-                "seed": seed,
-                "tv": int(counts.violations[k]),
-                "episodes": int(counts.episodes[k]),
-                "acr": e.acr,
-                "avr": e.avr,
-                "arr": e.arr,
-                "length": e.length,
-                "training_arr": float(counts.interventions[k] / config.steps),
-                "threshold": filters[k].threshold if filters else None,
-            }
-            for k, (seed, e) in enumerate(zip(config.seeds, episodes, strict=True))
+            seed_entry(
+                seed,
+                evaluated,
+                tv=int(counts.violations[k]),
+                episodes=int(counts.episodes[k]),
+                training_arr=float(counts.interventions[k] / config.steps),
+                threshold=filters[k].threshold if filters else None,
+            )
+            for k, (seed, evaluated) in enumerate(zip(config.seeds, found, strict=True))
         ]
-        content = {
-            "task": config.task,
-            "method": self.method,
-            "budget": {
-                "env_steps": config.steps,
-                "updates": self.updates,
-                "wall_seconds": round(counts.seconds, 1),
-                "evaluation_episodes": config.episodes,
-            },
-            "seeds": seeds,
-            "made with": versions(),
+        budget = {
+            "env_steps": config.steps,
+            "updates": self.updates,
+            "wall_seconds": round(counts.seconds, 1),
+            "evaluation_episodes": config.episodes,
         }
-        with atomic_path(self.folder / "result.json") as temporary:
-            temporary.write_text(json.dumps(content, indent=2) + "\n")
+        write_result(
+            self.folder,
+            {"task": config.task, "method": self.method, "budget": budget, "seeds": seeds},
+        )
         if not config.keep_replay:
             self.replay.path.unlink()
 
@@ -338,14 +289,3 @@ class _Run:
             self.counts.running_return[:] = self.counts.running_length[:] = 0
             return self.fleet.reset()
         return self.fleet.restore(rest["environments"])
-
-
-def _save_all(
-    folder: Path, seeds: tuple[int, ...], made: Sequence[TrainedPolicy | SafetyFilter]
-) -> None:
-    """One file a seed; no folder where there is nothing."""
-    if not made:
-        return
-    folder.mkdir(exist_ok=True)
-    for seed, one in zip(seeds, made, strict=True):
-        one.save(folder / f"seed{seed}.safetensors")

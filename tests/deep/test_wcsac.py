@@ -179,7 +179,7 @@ def test_without_the_mask_the_violation_itself_gets_a_variance(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def published(cost: Tensor, terminal: Tensor, *rest: object) -> Tensor:
-        return variance_target(cost, torch.zeros_like(terminal), *rest)  # type: ignore[arg-type]
+        return variance_target(cost, torch.zeros_like(terminal), *rest)
 
     monkeypatch.setattr(deep.online.wcsac, "variance_target", published)
     mean, deviation = (part[0].tolist() for part in learn([always]))
@@ -291,7 +291,7 @@ def test_a_checkpoint_holds_the_multiplier_and_its_speed(tmp_path: Path) -> None
 )
 def test_settings_that_make_no_sense(wrong: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=f"^{message}$"):
-        WcsacSettings(**wrong)  # type: ignore[arg-type]
+        WcsacSettings(**wrong)
 
 
 def test_a_run_names_its_learner() -> None:

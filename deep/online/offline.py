@@ -1,0 +1,243 @@
+"""One run of an offline baseline in a folder: from a file of transitions to task policies.
+
+The folder is that of an online run, without a replay buffer and filters; ``step`` in its
+tables counts updates, since there are no environment steps. Every update is a function of
+the state before it and of its number, so a run that was killed ends as if nothing had
+happened.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from deep.batches import Batches
+from deep.checkpoint import load_checkpoint, save_checkpoint
+from deep.data import Transitions
+from deep.folder import CsvLog, InterruptAfterUpdate, fingerprint
+from deep.formats import read_hdf5
+from deep.online.fleet import Fleet
+from deep.online.iql import Iql, IqlSettings
+from deep.online.learner import TaskBatch, TaskLosses
+from deep.online.results import (
+    EPISODES_KEPT_APART,
+    EVALUATIONS,
+    TrainResult,
+    checked_losses,
+    evaluate,
+    evaluation_rows,
+    open_folder,
+    read_result,
+    save_all,
+    seed_entry,
+    task_policies,
+    write_result,
+)
+from deep.pretrain.learner import Sizes
+from deep.run import centre_and_scale, normalise
+from deep.safety_filter import Normalisation
+
+__all__ = ["OfflineConfig", "task_batch", "train_offline"]
+
+PROGRESS = ("step", "seed", "critic_loss", "policy_loss", "seconds")
+BEYOND = 1e-3
+"""How far outside [-1, 1] an action may be by rounding."""
+
+
+@dataclass(frozen=True)
+class OfflineConfig:
+    """One run of IQL: K seeds on one data set.
+
+    Attributes:
+        task: where the policies are evaluated; "real:" before it means Safety-Gymnasium's own.
+        data: an HDF5 file of transitions.
+        method: the learner's settings.
+        seeds: trained side by side; seed k alone gives the same.
+        updates: minibatch updates.
+        evaluate_every: updates between two evaluations during training.
+        evaluation_episodes: whole episodes of each of those.
+        episodes: whole episodes of the evaluation at the end.
+        log_every: updates between two rows of progress.csv.
+        checkpoint_every: updates between two checkpoints.
+    """
+
+    task: str
+    data: Path
+    method: IqlSettings = field(default_factory=IqlSettings)
+    seeds: tuple[int, ...] = (0,)
+    updates: int = 100_000
+    evaluate_every: int = 10_000
+    evaluation_episodes: int = 20
+    episodes: int = 500
+    log_every: int = 1000
+    checkpoint_every: int = 10_000
+
+    def __post_init__(self) -> None:
+        rhythms = ("evaluate_every", "evaluation_episodes", "log_every", "checkpoint_every")
+        for name in ("updates", "episodes", *rhythms):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}")
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; the method by its name and settings."""
+        plain = asdict(self)
+        plain["data"] = str(self.data)
+        plain["method"] = {"name": Iql.name, **plain["method"]}
+        return plain
+
+
+def train_offline(config: OfflineConfig, folder: Path, *, quiet: bool = False) -> TrainResult:
+    """Train, or go on training, in this folder; a finished run is only read.
+
+    An interrupt (Ctrl-C) is passed on after the update at work and a checkpoint.
+
+    Raises:
+        ValueError: for a folder with another run, or data that do not fit the task.
+        FloatingPointError: if a loss is not a number; the last checkpoint stays.
+    """
+    open_folder(folder, config.to_json(), fingerprint(config.data))
+    if not (folder / "result.json").exists():
+        run = _Run(config, folder)
+        run.train(quiet)
+        run.finish()
+    return read_result(folder)
+
+
+def task_batch(batches: Batches, update: int) -> TaskBatch:
+    """The minibatch of this update, with rewards; what was done is what was meant."""
+    batch = batches.get(update)
+    return TaskBatch(
+        observation=batch.observation,
+        action=batch.action,
+        executed=batch.action,
+        next_observation=batch.next_observation,
+        reward=batches.rewards(update),
+        cost=batch.cost,
+        terminal=batch.terminal,
+        noise=batch.noise,
+        next_noise=batch.next_noise,
+    )
+
+
+class _Run:
+    """Everything that a run holds between two updates."""
+
+    def __init__(self, config: OfflineConfig, folder: Path) -> None:
+        self.config = config
+        self.folder = folder
+        sizes = _sizes(config.task)
+        data = read_hdf5(config.data)
+        _check_fit(config, data, sizes)
+        centre, scale = centre_and_scale(data.observations)
+        raw = Normalisation.identity(*sizes)  # a task's actions fill [-1, 1]
+        self.normalisation = Normalisation(centre, scale, raw.action_centre, raw.action_scale)
+        self.batches = Batches(
+            [normalise(data, self.normalisation)],
+            config.seeds,
+            config.method.batch_size,
+            None,
+            torch.device("cpu"),
+        )
+        self.learner = Iql(config.method, sizes, config.seeds)
+        self.updates, self.seconds = 0, 0.0
+        self.checkpoint = folder / "checkpoint.safetensors"
+        if self.checkpoint.exists():
+            self.updates, rest = load_checkpoint(self.learner, self.checkpoint)
+            self.seconds = json.loads(rest)["seconds"]
+        self.progress = CsvLog(folder / "progress.csv", PROGRESS, self.updates)
+        self.evaluations = CsvLog(folder / "evaluations.csv", EVALUATIONS, self.updates)
+
+    def train(self, quiet: bool) -> None:
+        """All updates that are left."""
+        config = self.config
+        bar = tqdm(
+            total=config.updates, initial=self.updates, unit="", disable=quiet,
+            desc=f"{config.task} {self.folder.name}",
+        )  # fmt: skip
+        before, begin = self.seconds, time.perf_counter()
+        with bar, InterruptAfterUpdate() as interrupt:
+            while self.updates < config.updates:
+                self.learner.slow_down(self.updates / config.updates)
+                losses = self.learner.update(task_batch(self.batches, self.updates))
+                self.updates += 1
+                bar.update()
+                self.seconds = before + time.perf_counter() - begin
+                stop = interrupt.asked  # read once: it may be set at any moment
+                if self.updates % config.log_every == 0:
+                    self._log(losses)
+                if self.updates % config.evaluate_every == 0:
+                    self._log_evaluation()
+                last = stop or self.updates == config.updates
+                if self.updates % config.checkpoint_every == 0 or last:
+                    rest = json.dumps({"seconds": self.seconds})
+                    save_checkpoint(self.learner, self.updates, self.checkpoint, rest)
+                if stop:
+                    raise KeyboardInterrupt
+
+    def _log(self, losses: TaskLosses) -> None:
+        moment, seconds = f"update {self.updates}", f"{self.seconds:.1f}"
+        self.progress.write(
+            [
+                (self.updates, seed, *checked_losses(seed, k, losses, moment), seconds)
+                for k, seed in enumerate(self.config.seeds)
+            ]
+        )
+
+    def _log_evaluation(self) -> None:
+        config = self.config
+        policies = task_policies(self.learner, self._normalisations(), Iql.name)
+        found = evaluate(config.task, policies, (), config.evaluation_episodes, EPISODES_KEPT_APART)
+        self.evaluations.write(evaluation_rows(self.updates, config.seeds, found))
+
+    def _normalisations(self) -> tuple[Normalisation, ...]:
+        return (self.normalisation,) * len(self.config.seeds)
+
+    def finish(self) -> None:
+        """Evaluate, write the policies, say what came out."""
+        config = self.config
+        policies = task_policies(self.learner, self._normalisations(), Iql.name)
+        found = evaluate(config.task, policies, (), config.episodes)
+        save_all(self.folder / "policies", config.seeds, policies)
+        budget = {
+            "env_steps": 0,
+            "updates": self.updates,
+            "wall_seconds": round(self.seconds, 1),
+            "evaluation_episodes": config.episodes,
+        }
+        seeds = [
+            seed_entry(seed, e, tv=0, episodes=0, training_arr=0.0, threshold=None)
+            for seed, e in zip(config.seeds, found, strict=True)
+        ]
+        write_result(
+            self.folder,
+            {"task": config.task, "method": Iql.name, "budget": budget, "seeds": seeds},
+        )
+
+
+def _sizes(task: str) -> Sizes:
+    fleet = Fleet(task, (0,), 1)
+    try:
+        return Sizes(fleet.observation_dim, fleet.action_dim)
+    finally:
+        fleet.close()
+
+
+def _check_fit(config: OfflineConfig, data: Transitions, sizes: Sizes) -> None:
+    found = Sizes(data.observations.shape[1], data.actions.shape[1])
+    if found != sizes:
+        raise ValueError(
+            f"{config.data}: observations in R^{found.observation} and actions in "
+            f"R^{found.action}, {config.task} has R^{sizes.observation} and R^{sizes.action}"
+        )
+    outside = (np.abs(data.actions) > 1 + BEYOND).any(axis=1)
+    if outside.any():
+        raise ValueError(
+            f"{config.data}: actions: row {int(np.argmax(outside))} is outside [-1, 1]"
+        )

@@ -1,0 +1,413 @@
+"""IQL: its update by hand, its fixed points on small chains, and its runs."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from deep.__main__ import main
+from deep.batches import Batches
+from deep.checkpoint import load_checkpoint, save_checkpoint
+from deep.data import Transitions
+from deep.formats import write_hdf5
+from deep.losses import advantage_weighted_regression
+from deep.online.iql import Iql, IqlSettings
+from deep.online.learner import TaskBatch, TaskLosses
+from deep.online.offline import OfflineConfig, task_batch, train_offline
+from deep.online.results import checked_losses
+from deep.pretrain.learner import Sizes
+from deep.safety_filter import Normalisation
+from deep.task_policy import TrainedPolicy
+from deep.tasks import make_task
+
+GAMMA = 0.8
+SIZES = Sizes(3, 1)
+SMALL = IqlSettings(
+    gamma=GAMMA,
+    hidden=(32,),
+    learning_rate=5e-3,
+    batch_size=64,
+    polyak=0.05,
+    reward_scale=1.0,
+)
+CHOICES = np.linspace(-1, 1, 32)
+
+
+def chain_of_choices() -> Transitions:
+    """s0 pays its action and leads to s1; s1 pays 1 plus its action and ends.
+
+    Actions are uniform. The worst action in s1 counts as a violation: data must show one.
+    """
+    state = np.repeat([0, 1], len(CHOICES))
+    action = np.tile(CHOICES, 2)
+    last = state == 1
+    cost = np.zeros(len(state))
+    cost[len(CHOICES)] = 1.0
+    return Transitions(
+        observations=np.eye(3)[state],
+        actions=action[:, None],
+        next_observations=np.eye(3)[state + 1],
+        rewards=last + action,
+        costs=cost,
+        terminals=last,
+        timeouts=np.zeros(len(state), dtype=bool),
+    )
+
+
+def batches_of(data: Transitions, seeds: tuple[int, ...] = (0,)) -> Batches:
+    return Batches([data], seeds, 64, None, torch.device("cpu"))
+
+
+def learn(settings: IqlSettings, data: Transitions, updates: int = 700) -> Iql:
+    learner = Iql(settings, SIZES, (0,))
+    batches = batches_of(data)
+    for update in range(updates):
+        learner.slow_down(update / updates)
+        learner.update(task_batch(batches, update))
+    return learner
+
+
+def values(learner: Iql) -> list[float]:
+    with torch.no_grad():
+        found: list[float] = learner.value(torch.eye(3)[None, :2])[0].tolist()
+    return found
+
+
+def expectile_of(rewards: NDArray[np.float64], expectile: float) -> float:
+    """By its first-order condition, bisected."""
+    low, high = float(rewards.min()), float(rewards.max())
+    for _ in range(60):
+        middle = (low + high) / 2
+        above = expectile * np.maximum(rewards - middle, 0).sum()
+        below = (1 - expectile) * np.maximum(middle - rewards, 0).sum()
+        low, high = (middle, high) if above > below else (low, middle)
+    return low
+
+
+@pytest.mark.parametrize("expectile", [0.5, 0.7, 0.97])
+def test_the_value_is_the_expectile_over_the_datas_actions(expectile: float) -> None:
+    last = expectile_of(1 + CHOICES, expectile)
+    first = expectile_of(CHOICES + GAMMA * last, expectile)
+    found = values(learn(replace(SMALL, expectile=expectile), chain_of_choices()))
+    assert found == pytest.approx([first, last], abs=0.06)
+    if expectile == 0.5:  # the behaviour policy's own value
+        assert (first, last) == pytest.approx((GAMMA, 1.0), abs=1e-6)
+    if expectile == 0.97:  # towards the best action's
+        assert found == pytest.approx([1 + 2 * GAMMA, 2.0], abs=0.6)
+
+
+def test_the_policy_takes_the_better_actions_of_the_data() -> None:
+    learner = learn(SMALL, chain_of_choices())
+    with torch.no_grad():
+        first, last = learner.policy.mean_action(torch.eye(3)[None, :2])[0, :, 0].tolist()
+    assert first > 0.3
+    assert last > 0.3
+
+
+def test_without_beta_the_policy_copies_the_data() -> None:
+    learner = learn(replace(SMALL, beta=0.0), chain_of_choices(), 400)
+    with torch.no_grad():
+        mean = learner.policy.mean_action(torch.eye(3)[None, :2])[0, :, 0]
+    assert mean.abs().max().item() < 0.15
+
+
+def test_a_timeout_is_bootstrapped_through_and_an_end_is_not() -> None:
+    # The same rows, paying 1 in one state for ever: 1 / (1 - gamma) if only cut off, else 1.
+    rows = 64
+    state = np.tile(np.eye(3)[0], (rows, 1))
+    ends = np.arange(rows) % 8 == 7
+    common = {
+        "observations": state,
+        "actions": np.resize(CHOICES, rows)[:, None],
+        "next_observations": state,
+        "rewards": np.ones(rows),
+    }
+    cost = np.zeros(rows)
+    cost[-1] = 1.0  # data must show a violation
+    violation = cost == 1
+    cut = Transitions(**common, costs=cost, terminals=violation, timeouts=ends & ~violation)
+    everywhere = np.ones(rows, dtype=bool)
+    over = Transitions(**common, costs=cost, terminals=everywhere, timeouts=~everywhere)
+    settings = replace(SMALL, expectile=0.5)
+    # One row in 64 ends: V = 1 + gamma 63/64 V.
+    assert values(learn(settings, cut))[0] == pytest.approx(1 / (1 - GAMMA * 63 / 64), abs=0.15)
+    assert values(learn(settings, over))[0] == pytest.approx(1.0, abs=0.05)
+
+
+def test_one_update_by_hand() -> None:
+    settings = replace(SMALL, reward_scale=10.0, expectile=0.9, beta=2.0)
+    learner, untouched = (Iql(settings, SIZES, (5,)) for _ in range(2))
+    batch = task_batch(batches_of(chain_of_choices(), (5,)), 0)
+    losses = learner.update(batch)
+    with torch.no_grad():
+        q = untouched.critic(batch.observation, batch.action).amin(dim=1)
+        # The value is updated first; policy and critics see the new one.
+        baseline, following = (
+            learner.value(batch.observation),
+            learner.value(batch.next_observation),
+        )
+        weight = torch.minimum(torch.exp(2.0 * (q - baseline)), torch.tensor(100.0))
+        log_prob = untouched.policy.log_prob(batch.observation, batch.action)
+        target = 10 * batch.reward + GAMMA * (1 - batch.terminal) * following
+        both = untouched.critic(batch.observation, batch.action)
+        squares = ((both[:, 0] - target) ** 2).mean() + ((both[:, 1] - target) ** 2).mean()
+    assert losses.policy.item() == pytest.approx(-(weight * log_prob).mean().item(), rel=1e-5)
+    assert losses.critic.item() == pytest.approx(squares.item(), rel=1e-5)
+    # The value goes down the expectile loss: Adam's first step is against the gradient's sign.
+    value = untouched.value(batch.observation)
+    u = q - value
+    loss = (torch.where(u > 0, 0.9, 0.1) * u**2).mean()
+    parameters = list(untouched.value.parameters())
+    for before, after, slope in zip(
+        parameters, learner.value.parameters(), torch.autograd.grad(loss, parameters), strict=True
+    ):
+        clear = slope.abs() > 1e-5
+        step = -settings.learning_rate * slope.sign()
+        assert torch.allclose((after - before)[clear], step[clear], rtol=1e-2)
+    # The targets have followed by polyak.
+    for start, online, target_net in zip(
+        untouched.critic.parameters(), learner.critic.parameters(),
+        learner.critic_target.parameters(), strict=True,
+    ):  # fmt: skip
+        assert torch.allclose(target_net, start + 0.05 * (online - start), atol=1e-7)
+
+
+def test_advantages_are_capped_and_point_towards_reward() -> None:
+    def weight(advantage: float) -> float:
+        one = torch.ones(1, 1)
+        return -advantage_weighted_regression(-advantage * one, 0 * one, one, 3.0, one).item()
+
+    assert weight(1.0) == pytest.approx(math.exp(3))
+    assert weight(-1.0) == pytest.approx(math.exp(-3))
+    assert weight(2.0) == 100.0
+
+
+def test_minibatches_carry_their_rewards() -> None:
+    data = chain_of_choices()
+    batch = task_batch(batches_of(data, (0, 4)), 70)
+    known = {(tuple(s), float(a[0])): r for s, a, r in zip(
+        data.observations.tolist(), data.actions, data.rewards, strict=True)}  # fmt: skip
+    for s, a, r in zip(
+        batch.observation.flatten(0, 1).tolist(),
+        batch.action.flatten().tolist(),
+        batch.reward.flatten().tolist(),
+        strict=True,
+    ):
+        assert known[tuple(s), a] == r
+    assert batch.executed is batch.action
+
+
+def test_a_seed_learns_the_same_alone() -> None:
+    data = chain_of_choices()
+    both, alone = Iql(SMALL, SIZES, (3, 8)), Iql(SMALL, SIZES, (8,))
+    for update in range(10):
+        both.update(task_batch(batches_of(data, (3, 8)), update))
+        alone.update(task_batch(batches_of(data, (8,)), update))
+    for name, tensor in alone.state_dict().items():
+        found = both.state_dict()[name].reshape(2, -1)[1]  # seeds come first in every tensor
+        assert found.tolist() == pytest.approx(tensor.flatten().tolist(), abs=1e-5), name
+
+
+def test_a_checkpoint_goes_on_as_if_nothing_had_happened(tmp_path: Path) -> None:
+    batches = batches_of(chain_of_choices())
+    whole, first, second = (Iql(SMALL, SIZES, (0,)) for _ in range(3))
+    for update in range(6):
+        whole.update(task_batch(batches, update))
+        if update < 3:
+            first.update(task_batch(batches, update))
+    save_checkpoint(first, 3, tmp_path / "checkpoint.safetensors")
+    load_checkpoint(second, tmp_path / "checkpoint.safetensors")
+    for update in range(3, 6):
+        second.update(task_batch(batches, update))
+    for name, tensor in whole.state_dict().items():
+        assert tensor.equal(second.state_dict()[name]), name
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"expectile": 0.0}, r"expectile must lie in \(0, 1\), not 0.0"),
+        ({"expectile": 1.0}, r"expectile must lie in \(0, 1\), not 1.0"),
+        ({"beta": -1.0}, "beta must not be negative, not -1.0"),
+        ({"gamma": 0.0}, r"gamma must lie in \(0, 1\], not 0.0"),
+    ],
+)
+def test_settings_that_make_no_sense(wrong: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        IqlSettings(**wrong)
+
+
+# Runs
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> OfflineConfig:
+    """A tiny run on the brake task, with recorded random actions."""
+    rng = np.random.default_rng(0)
+    task = make_task("brake")
+    n = 400
+    observations = rng.uniform(-1, 1, (n, task.observation_dim))
+    cost = rng.random(n) < 0.1
+    data = Transitions(
+        observations=observations,
+        actions=rng.uniform(-1, 1, (n, task.action_dim)),
+        next_observations=np.roll(observations, -1, axis=0),
+        rewards=rng.normal(size=n),
+        costs=cost,
+        terminals=cost,
+        timeouts=(np.arange(n) == n - 1) & ~cost,
+    )
+    write_hdf5(data, tmp_path / "data.hdf5")
+    return OfflineConfig(
+        task="brake",
+        data=tmp_path / "data.hdf5",
+        method=IqlSettings(hidden=(8,), batch_size=16),
+        seeds=(0, 3),
+        updates=40,
+        evaluate_every=20,
+        evaluation_episodes=3,
+        episodes=5,
+        log_every=10,
+        checkpoint_every=15,
+    )
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open() as file:
+        return [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(file)]
+
+
+def test_a_run_leaves_everything_that_is_needed(config: OfflineConfig, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    found = train_offline(config, folder, quiet=True)
+    assert found.method == "iql"
+    result = json.loads((folder / "result.json").read_text())
+    assert (result["task"], result["method"]) == ("brake", "iql")
+    assert result["budget"]["env_steps"] == 0
+    assert result["budget"]["updates"] == 40
+    assert result["budget"]["evaluation_episodes"] == 5
+    assert [entry["seed"] for entry in result["seeds"]] == [0, 3]
+    for entry in result["seeds"]:
+        assert (entry["tv"], entry["arr"], entry["threshold"]) == (0, 0.0, None)
+    stored = json.loads((folder / "config.json").read_text())
+    assert stored["run"] == json.loads(json.dumps(config.to_json()))
+    assert stored["run"]["method"]["name"] == "iql"
+    assert {"numpy", "torch", "python", "git"} <= set(stored["made with"])
+    steps = [(row["step"], row["seed"]) for row in rows(folder / "progress.csv")]
+    assert steps == [(str(u), seed) for u in (10, 20, 30, 40) for seed in ("0", "3")]
+    evaluations = rows(folder / "evaluations.csv")
+    assert [(row["step"], row["episodes"]) for row in evaluations] == [
+        (step, "3") for step in ("20", "20", "40", "40")
+    ]
+    policy = TrainedPolicy.load(folder / "policies" / "seed3.safetensors")
+    assert (policy.method, policy.seed) == ("iql", 3)
+    assert not (folder / "filters").exists()
+
+
+def test_the_saved_policy_is_the_trained_one(config: OfflineConfig, tmp_path: Path) -> None:
+    train_offline(config, tmp_path / "run", quiet=True)
+    task = make_task("brake")
+    learner = Iql(config.method, Sizes(task.observation_dim, task.action_dim), config.seeds)
+    load_checkpoint(learner, tmp_path / "run" / "checkpoint.safetensors")
+    policy = TrainedPolicy.load(tmp_path / "run" / "policies" / "seed3.safetensors")
+    n: Normalisation = policy.normalisation
+    raw = np.random.default_rng(1).uniform(-1, 1, (6, task.observation_dim)).astype(np.float32)
+    scaled = (raw - np.array(n.observation_centre)) / np.array(n.observation_scale)
+    states: Tensor = torch.from_numpy(scaled.astype(np.float32)).expand(2, -1, -1)
+    with torch.no_grad():
+        expected = learner.policy.mean_action(states)[1].numpy()
+    assert policy.act(raw) == pytest.approx(expected, abs=1e-5)
+
+
+class Stop(Exception):
+    """Stands for whatever ends a process."""
+
+
+@pytest.mark.parametrize("at", [17, 32])
+def test_a_run_that_was_stopped_ends_as_if_nothing_had_happened(
+    config: OfflineConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
+) -> None:
+    train_offline(config, tmp_path / "whole", quiet=True)
+    update = Iql.update
+    done = 0
+
+    def stopping(self: Iql, batch: TaskBatch) -> TaskLosses:
+        nonlocal done
+        done += 1
+        if done == at:
+            raise Stop
+        return update(self, batch)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Iql, "update", stopping)
+        with pytest.raises(Stop):
+            train_offline(config, tmp_path / "cut", quiet=True)
+    assert not (tmp_path / "cut" / "result.json").exists()
+    train_offline(config, tmp_path / "cut", quiet=True)
+    for name in ("policies/seed0.safetensors", "policies/seed3.safetensors"):
+        assert (tmp_path / "cut" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    for table in ("progress.csv", "evaluations.csv"):
+        assert rows(tmp_path / "cut" / table) == rows(tmp_path / "whole" / table)
+
+
+def test_a_finished_run_is_only_read(config: OfflineConfig, tmp_path: Path) -> None:
+    first = train_offline(config, tmp_path / "run", quiet=True)
+    (tmp_path / "run" / "checkpoint.safetensors").unlink()
+    assert train_offline(config, tmp_path / "run", quiet=True) == first
+
+
+def test_another_run_or_other_data_are_refused(config: OfflineConfig, tmp_path: Path) -> None:
+    train_offline(config, tmp_path / "run", quiet=True)
+    with pytest.raises(ValueError, match=r"run holds a run with another configuration$"):
+        train_offline(replace(config, updates=50), tmp_path / "run", quiet=True)
+    config.data.write_bytes(b"something else")
+    with pytest.raises(ValueError, match=r"data.hdf5: the data have changed since the run began$"):
+        train_offline(config, tmp_path / "run", quiet=True)
+
+
+def test_data_that_do_not_fit_the_task_are_refused(config: OfflineConfig, tmp_path: Path) -> None:
+    data = chain_of_choices()
+    write_hdf5(data, config.data)
+    message = r"data.hdf5: observations in R\^3 and actions in R\^1, brake has R\^2 and R\^1$"
+    with pytest.raises(ValueError, match=message):
+        train_offline(config, tmp_path / "run", quiet=True)
+    wide = replace(data, observations=data.observations[:, :2], actions=2 * data.actions,
+                   next_observations=data.next_observations[:, :2])  # fmt: skip
+    write_hdf5(wide, config.data)
+    with pytest.raises(ValueError, match=r"actions: row 0 is outside \[-1, 1\]$"):
+        train_offline(config, tmp_path / "other", quiet=True)
+
+
+@pytest.mark.parametrize("name", ["updates", "episodes", "log_every", "evaluation_episodes"])
+def test_counts_must_be_positive(config: OfflineConfig, name: str) -> None:
+    with pytest.raises(ValueError, match=f"^{name} must be at least 1, not 0$"):
+        replace(config, **{name: 0})
+
+
+def test_a_loss_that_is_no_number_names_its_seed() -> None:
+    losses = TaskLosses(torch.tensor([1.0, float("nan")]), torch.tensor([0.5, 0.5]))
+    assert checked_losses(7, 0, losses, "update 20") == ["1", "0.5"]
+    assert checked_losses(7, 0, None, "update 20") == ["", ""]
+    with pytest.raises(FloatingPointError, match="^update 20: a loss of seed 8 is not a number"):
+        checked_losses(8, 1, losses, "update 20")
+
+
+def test_the_command(
+    config: OfflineConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["train-offline", "--task", "brake", "--data", str(config.data)]
+    rest = ["--out", str(tmp_path / "run"), "--updates", "5", "--episodes", "2"]
+    assert main([*words, *rest, "--method.hidden", "8", "--seeds", "1"]) == 0
+    assert "seed 1: ACR" in capsys.readouterr().out
+    assert (tmp_path / "run" / "policies" / "seed1.safetensors").is_file()
+    assert main([*words[:-1], str(tmp_path / "none"), *rest]) == 2
+    assert capsys.readouterr().err == f"deep: {tmp_path / 'none'}: there is no such file\n"
