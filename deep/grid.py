@@ -240,12 +240,11 @@ class _Grid:
         return waited and all(self.endings.get(need) in done for need in job.needs)
 
     def _block(self) -> None:
-        """Give up what needs a job that failed, and what needs that."""
-        lost = {name for name, e in self.endings.items() if e in (Ending.FAILED, Ending.BLOCKED)}
-        while blocked := [job.name for job in self.open if lost & set(job.needs)]:
-            lost.update(blocked)
-            for name in blocked:
-                self._ended(name, Ending.BLOCKED)
+        """Give up what needs a job that failed; what needs that follows the next time."""
+        lost = (Ending.FAILED, Ending.BLOCKED)
+        for job in self.open:
+            if any(self.endings.get(need) in lost for need in job.needs):
+                self._ended(job.name, Ending.BLOCKED)
 
     def _process(self, job: Job) -> JobProcess:
         return JobProcess(

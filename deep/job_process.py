@@ -144,7 +144,7 @@ def _interruptible() -> Iterator[None]:
 def _end(process: subprocess.Popen[bytes], urgency: Callable[[], int]) -> None:
     """End the process if it has not ended, at last with force, and all that it started."""
     for number, seconds in PATIENCE:
-        if process.poll() is not None or urgency() > 1:
+        if process.poll() is not None:
             break
         process.send_signal(number)
         deadline = time.monotonic() + seconds
