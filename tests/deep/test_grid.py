@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import re
@@ -295,6 +296,24 @@ def test_of_many_that_want_a_stale_lock_one_gets_it(tmp_path: Path) -> None:
         assert len(got) == 1
         with got[0]:
             pass
+
+
+def test_a_file_that_its_owner_removes_meanwhile_is_no_lock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.lock"
+    path.write_text(f"process 1 on {socket.gethostname()}")
+    stale = path.stat()
+    flock = fcntl.flock
+
+    def owner_goes_first(handle: int, operation: int) -> None:
+        if path.exists() and os.path.samestat(os.fstat(handle), stale):
+            path.unlink()
+        flock(handle, operation)
+
+    monkeypatch.setattr("deep.job_lock.fcntl.flock", owner_goes_first)
+    with JobLock(path) as lock:
+        assert os.path.samestat(path.stat(), os.fstat(lock.handle))
 
 
 def test_a_file_system_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
