@@ -1,4 +1,4 @@
-"""Command line: ``python -m deep collect|pretrain|compare|demo|report``.
+"""Command line: ``python -m deep collect|pretrain|train|evaluate|grid|report|...``.
 
 A run that was interrupted or killed goes on when the same command is given again.
 """
@@ -20,6 +20,8 @@ from deep.config import Mix, PretrainConfig
 from deep.data import summarise
 from deep.demo import DemoConfig, demo
 from deep.formats import write_hdf5
+from deep.grid import JobsFailedError
+from deep.grid_command import Grid
 from deep.online.commands import ChooseThreshold, Evaluate, OfflineData, Train, TrainOffline
 from deep.pretrain.health import Status
 from deep.report import report
@@ -27,7 +29,7 @@ from deep.run import pretrain
 from deep.sweep import SweepConfig, sweep
 from deep.tasks import make_task
 
-__all__ = ["main"]
+__all__ = ["main", "parse"]
 
 
 @dataclass(frozen=True)
@@ -159,24 +161,36 @@ Command: TypeAlias = (
     | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Sweep, tyro.conf.subcommand("sweep")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
+    | Annotated[Grid, tyro.conf.subcommand("grid")]
     | Annotated[Report, tyro.conf.subcommand("report")]
 )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; 0, or 2 after one line about what was wrong, or 130 after Ctrl-C."""
-    torch.set_num_threads(1)
+def parse(arguments: Sequence[str] | None) -> Command:
+    """The command that the arguments describe; exits with a message where they do not."""
     command: Command = tyro.cli(
         Command,
         args=arguments,
         prog="python -m deep",
         config=(tyro.conf.OmitSubcommandPrefixes,),
     )
+    return command
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; 0, or 2 after one line about what was wrong, or 130 after Ctrl-C.
+
+    1 after the table of jobs that failed.
+    """
+    torch.set_num_threads(1)
     try:
-        command.run()
+        parse(arguments).run()
     except (ValueError, FloatingPointError) as error:
         print(f"deep: {error}", file=sys.stderr)
         return 2
+    except JobsFailedError as failed:
+        print(failed, file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         print("deep: interrupted; the same command goes on from here", file=sys.stderr)
         return 130

@@ -1,0 +1,239 @@
+"""The paper's experiments as jobs: tasks x methods x seeds, and what they need before.
+
+For each task, in ``STUDY/<task>/``:
+
+    data/sac        SAC on a seed of its own, whose replay buffer is the offline data
+    data/*.hdf5     before violations (with random actions) for the critics; all for IQL
+    pretrain/FORM   Algorithm 1 in each form, on the same data
+    select/FORM     short runs, one candidate of epsilon a seed, on seeds of their own
+    train/METHOD    Algorithm 2 in each form, and the baselines
+    plug/A+B        trained policies behind filters that they have never met
+    ablation/FORM   the forms of Algorithm 1 at one epsilon (on one task)
+
+A job is one command of ``python -m deep``; :mod:`deep.grid` runs them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from deep.grid import Job
+
+__all__ = ["FORMS", "METHODS", "StudyConfig", "study_jobs"]
+
+FORMS = ("dea-rrl", "rrl", "dea-rrl-annealed", "rrl-msdp", "dearrl-iql")
+METHODS = ("sac", *FORMS, "wcsac", "iql")
+FEW_UPDATES = ("--learning-rate", "1e-3", "--batch-size", "128")
+"""The authors' half a million updates at 3e-4, of 256 transitions, would take days here."""
+PRETRAIN = {form: (*FEW_UPDATES, "--polyak", "0.1") for form in FORMS} | {
+    "dea-rrl-annealed": (*FEW_UPDATES, "--final-expectile", "0.1")
+}
+"""As many sweeps through time as with their polyak 0.005; an expectile that noise allows."""
+PLUGGED = ("rrl", "dea-rrl", "dea-rrl-annealed")
+
+
+@dataclass(frozen=True)
+class StudyConfig:
+    """What is run, and how much of it.
+
+    Attributes:
+        out: the study's folder.
+        tasks: their names.
+        methods: sac, wcsac, iql, and forms of Algorithm 1.
+        seeds: of the results, trained side by side in one process.
+        selection_seeds: of the runs that choose epsilon, one a candidate; the first one is
+            pretrained, and its SAC run gives the offline data.
+        steps: environment steps of a training run and seed.
+        selection_steps: of a run that chooses epsilon.
+        pretrain_updates: of Algorithm 1.
+        iql_updates: of IQL.
+        random: transitions with random actions among the offline data, before the filter.
+        keep: offline data are so many steps before violations (the paper: 100, with which
+            every state in the data is soon lost).
+        horizon: H of the tasks, the most steps from a dead-end to the violation: a Point
+            at top speed brakes to a stand in 18 steps.
+        candidates: of epsilon, for the critics with gamma_safe 0.99.
+        annealed_candidates: of epsilon for dea-rrl-annealed, whose gamma_safe is H / (H + 1).
+        safety_share: chosen is the largest epsilon with at most this share of SAC's violations.
+        ablation_task: where the forms are compared at one epsilon.
+        ablation_threshold: that epsilon (the paper's).
+        ablation_steps: environment steps of those runs.
+    """
+
+    out: Path
+    tasks: tuple[str, ...] = ("point-goal1", "static-env", "dynamic-env")
+    methods: tuple[str, ...] = METHODS
+    seeds: tuple[int, ...] = (0, 1, 2, 3)
+    selection_seeds: tuple[int, ...] = (100, 101, 102, 103)
+    steps: int = 1_000_000
+    selection_steps: int = 100_000
+    pretrain_updates: int = 20_000
+    iql_updates: int = 50_000
+    random: int = 400_000
+    keep: int = 400
+    horizon: int = 20
+    candidates: tuple[float, ...] = (0.5, 0.7, 0.8, 0.9)
+    annealed_candidates: tuple[float, ...] = (0.02, 0.04, 0.08, 0.16)
+    safety_share: float = 0.05
+    ablation_task: str = "point-goal1"
+    ablation_threshold: float = 0.7
+    ablation_steps: int = 300_000
+
+    def __post_init__(self) -> None:
+        unknown = [method for method in self.methods if method not in METHODS]
+        if unknown:
+            raise ValueError(f"there is no method {unknown[0]!r}; there are {', '.join(METHODS)}")
+        if set(self.seeds) & set(self.selection_seeds):
+            raise ValueError("epsilon must be chosen on other seeds than the results'")
+        for candidates in (self.candidates, self.annealed_candidates):
+            if len(candidates) != len(self.selection_seeds):
+                raise ValueError(
+                    f"{len(candidates)} candidates of epsilon for "
+                    f"{len(self.selection_seeds)} selection_seeds: give one each"
+                )
+
+
+def study_jobs(config: StudyConfig) -> tuple[Job, ...]:
+    """All jobs, those of the same stage side by side over the tasks."""
+    stages = [_task_jobs(config, task) for task in config.tasks]
+    return tuple(job for stage in range(len(stages[0])) for jobs in stages for job in jobs[stage])
+
+
+def _task_jobs(config: StudyConfig, task: str) -> list[list[Job]]:
+    """A task's jobs, stage by stage."""
+    forms = [form for form in FORMS if form in config.methods]
+    make = _Jobs(config, task)
+    online = [make.train_sac(method) for method in ("sac", "wcsac") if method in config.methods]
+    if "iql" in config.methods:
+        online.append(make.iql())
+    return [
+        [make.data_run()],
+        [make.offline_data("offline", config.random, config.keep)],
+        [make.pretrain(form) for form in forms],
+        online[:1],
+        [make.select(form) for form in forms],
+        [make.choose(form) for form in forms],
+        [make.train(form) for form in forms],
+        online[1:2],
+        [make.offline_data("replay", 0, None)] if "iql" in config.methods else [],
+        online[2:],
+        [
+            make.plug(policy, form)
+            for form in PLUGGED
+            for policy in ("sac", "iql")
+            if {policy, form} <= set(config.methods)
+        ],
+        [make.ablation(form) for form in forms if form != "dea-rrl-annealed"]
+        if task == config.ablation_task
+        else [],
+    ]
+
+
+class _Jobs:
+    """Commands for one task."""
+
+    def __init__(self, config: StudyConfig, task: str) -> None:
+        self.config = config
+        self.task = task
+        self.folder = config.out / task
+
+    def _name(self, *parts: str) -> str:
+        return "/".join((self.task, *parts))
+
+    def _job(
+        self, part: str, needs: tuple[str, ...], *command: str, result: str = "result.json"
+    ) -> Job:
+        return Job(
+            self._name(part),
+            command,
+            self.folder / part / result if result else self.folder / part,
+            tuple(self._name(need) for need in needs),
+        )
+
+    def _train(
+        self, part: str, needs: tuple[str, ...], seeds: tuple[int, ...], steps: int, *more: str
+    ) -> Job:
+        return self._job(
+            part, needs, "train", "--task", self.task, "--out", str(self.folder / part),
+            "--seeds", *map(str, seeds), "--steps", str(steps), *more,
+        )  # fmt: skip
+
+    def data_run(self) -> Job:
+        first = self.config.selection_seeds[:1]
+        return self._train("data/sac", (), first, self.config.steps, "--keep-replay", "sac")
+
+    def offline_data(self, name: str, random: int, keep: int | None) -> Job:
+        part = f"data/{name}.hdf5"
+        return self._job(
+            part, ("data/sac",), "offline-data", "--run-folder", str(self.folder / "data/sac"),
+            "--out", str(self.folder / part), "--seed", str(self.config.selection_seeds[0]),
+            "--random", str(random), "--keep", str(keep), result="",
+        )  # fmt: skip
+
+    def pretrain(self, form: str) -> Job:
+        seeds = (*self.config.seeds, self.config.selection_seeds[0])
+        part = f"pretrain/{form}"
+        return self._job(
+            part, ("data/offline.hdf5",), "pretrain", "--data",
+            str(self.folder / "data/offline.hdf5"), "--out", str(self.folder / part),
+            "--seeds", *map(str, seeds), "--horizon", str(self.config.horizon),
+            "--updates", str(self.config.pretrain_updates), form, *PRETRAIN[form],
+            result=f"filters/seed{seeds[-1]}.safetensors",
+        )  # fmt: skip
+
+    def _safety(self, form: str) -> tuple[str, ...]:
+        return ("--safety", str(self.folder / "pretrain" / form))
+
+    def select(self, form: str) -> Job:
+        config = self.config
+        annealed = form == "dea-rrl-annealed"
+        candidates = config.annealed_candidates if annealed else config.candidates
+        same = [str(config.selection_seeds[0])] * len(config.selection_seeds)
+        return self._train(
+            f"select/{form}", (f"pretrain/{form}",), config.selection_seeds,
+            config.selection_steps, *self._safety(form), "--safety-seeds", *same,
+            "--threshold", *map(str, candidates), "sac",
+        )  # fmt: skip
+
+    def choose(self, form: str) -> Job:
+        part = f"select/{form}/threshold.json"
+        return self._job(
+            part, (f"select/{form}", "data/sac"), "choose-threshold",
+            "--run-folder", str(self.folder / "select" / form),
+            "--baseline", str(self.folder / "data/sac"), "--out", str(self.folder / part),
+            "--share", str(self.config.safety_share), result="",
+        )  # fmt: skip
+
+    def train_sac(self, method: str) -> Job:
+        return self._train(f"train/{method}", (), self.config.seeds, self.config.steps, method)
+
+    def train(self, form: str) -> Job:
+        chosen = f"select/{form}/threshold.json"
+        return self._train(
+            f"train/{form}", (f"pretrain/{form}", chosen), self.config.seeds, self.config.steps,
+            *self._safety(form), "--threshold-from", str(self.folder / chosen), "sac",
+        )  # fmt: skip
+
+    def ablation(self, form: str) -> Job:
+        config = self.config
+        return self._train(
+            f"ablation/{form}", (f"pretrain/{form}",), config.seeds, config.ablation_steps,
+            *self._safety(form), "--threshold", str(config.ablation_threshold), "sac",
+        )  # fmt: skip
+
+    def iql(self) -> Job:
+        part = "train/iql"
+        return self._job(
+            part, ("data/replay.hdf5",), "train-offline", "--task", self.task,
+            "--data", str(self.folder / "data/replay.hdf5"), "--out", str(self.folder / part),
+            "--seeds", *map(str, self.config.seeds), "--updates", str(self.config.iql_updates),
+        )  # fmt: skip
+
+    def plug(self, policy: str, form: str) -> Job:
+        part, chosen = f"plug/{policy}+{form}", f"select/{form}/threshold.json"
+        return self._job(
+            part, (f"train/{policy}", f"pretrain/{form}", chosen), "evaluate",
+            "--policy", str(self.folder / "train" / policy), *self._safety(form),
+            "--threshold-from", str(self.folder / chosen), "--out", str(self.folder / part),
+        )  # fmt: skip

@@ -1,0 +1,48 @@
+"""The command that runs a study: its exit status, its table, and its options."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from deep.__main__ import main
+from deep.grid import Job
+
+OK = ("collect", "--task", "brake", "--transitions", "300", "--out")
+
+
+def test_a_study_ends_with_0_or_with_1_and_a_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data, out = tmp_path / "data.hdf5", tmp_path / "out"
+    good = Job("t/good", (*OK, str(data)), data)
+    bad = Job("t/bad", ("report", "--study", str(tmp_path), "--out", "x"), tmp_path / "never")
+    more = Job("t/more", (), tmp_path / "never", ("t/bad",))
+    monkeypatch.chdir(Path(__file__).parents[2])
+    command = ["grid", "--out", str(out), "--workers", "2", "--tasks", "brake", "--methods", "sac"]
+
+    monkeypatch.setattr("deep.grid_command.study_jobs", lambda _: (good, bad, more))
+    assert main(command) == 1
+    said = capsys.readouterr()
+    assert said.out == (
+        f"{out}: 1 jobs finished, 0 were finished before, 1 failed, 1 need a failed one\n"
+    )
+    table = said.err.splitlines()[-2:]
+    assert table[0].startswith("t/bad   failed   exit status 2: deep: ")
+    assert table[0].endswith(f"({out}/logs/t/bad.log)")
+    assert table[1] == "t/more  blocked  a job that it needs failed"
+
+    monkeypatch.setattr("deep.grid_command.study_jobs", lambda _: (good,))
+    assert main(command) == 0
+    assert "0 jobs finished, 1 were finished before, 0 failed" in capsys.readouterr().out
+
+
+def test_options_reach_the_study_and_the_jobs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = ["grid", "--out", str(tmp_path)]
+    assert main([*study, "--methods", "ppo"]) == 2
+    assert capsys.readouterr().err.startswith("deep: there is no method 'ppo'; there are sac, ")
+    assert main([*study, "--address", "auto"]) == 2
+    assert "it needs the backend ray" in capsys.readouterr().err

@@ -1,0 +1,102 @@
+"""A study's jobs: in order, each a command that parses and writes what the next one reads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from deep.__main__ import parse
+from deep.config import PretrainConfig
+from deep.grid import Job
+from deep.online.commands import ChooseThreshold, Evaluate, OfflineData, Train, TrainOffline
+from deep.study import FORMS, METHODS, StudyConfig, study_jobs
+
+CONFIG = StudyConfig(out=Path("study"), tasks=("point-goal1", "static-env"))
+JOBS = {job.name: job for job in study_jobs(CONFIG)}
+
+
+def test_names_are_unique_and_needs_come_first() -> None:
+    names = [job.name for job in study_jobs(CONFIG)]
+    assert len(set(names)) == len(names)
+    for place, name in enumerate(names):
+        assert all(need in names[:place] for need in JOBS[name].needs), name
+
+
+def test_there_is_a_training_run_for_every_task_and_method() -> None:
+    trained = {name for name in JOBS if "/train/" in name}
+    assert trained == {f"{task}/train/{method}" for task in CONFIG.tasks for method in METHODS}
+    assert {name for name in JOBS if "/ablation/" in name} == {
+        f"point-goal1/ablation/{form}" for form in FORMS if form != "dea-rrl-annealed"
+    }
+
+
+@pytest.mark.parametrize("job", JOBS.values(), ids=lambda job: job.name)
+def test_every_command_parses_and_writes_its_result(job: Job) -> None:
+    command = parse(job.command)
+    out = getattr(command, "out")  # noqa: B009  (every command has one)
+    if isinstance(command, OfflineData | ChooseThreshold):
+        assert out == job.result
+    else:
+        assert job.result.is_relative_to(out)
+
+
+def paths_read(command: object) -> set[Path]:
+    """The files and folders that a command reads."""
+    match command:
+        case Train(run_config=config, threshold_from=chosen):
+            found = {config.safety, chosen}
+        case TrainOffline(run_config=config):
+            found = {config.data}
+        case OfflineData(run_folder=folder):
+            found = {folder}
+        case ChooseThreshold(run_folder=folder, baseline=baseline):
+            found = {folder, baseline}
+        case Evaluate(policy=policy, safety=safety, threshold_from=chosen):
+            found = {policy, safety, chosen}
+        case _:
+            config = getattr(command, "run_config")  # noqa: B009  (the one that is left)
+            assert isinstance(config, PretrainConfig)
+            found = {config.data}
+    return {path for path in found if path is not None}
+
+
+@pytest.mark.parametrize("job", JOBS.values(), ids=lambda job: job.name)
+def test_what_a_command_reads_is_made_by_a_job_that_it_needs(job: Job) -> None:
+    made = [JOBS[need].result for need in job.needs]
+    for path in paths_read(parse(job.command)):
+        assert any(result == path or result.is_relative_to(path) for result in made), path
+
+
+def test_thresholds_are_chosen_on_seeds_that_no_result_comes_from() -> None:
+    for name, job in JOBS.items():
+        command = parse(job.command)
+        if not isinstance(command, Train):
+            continue
+        seeds = set(command.run_config.seeds)
+        if "/select/" in name or "/data/" in name:
+            assert not seeds & set(CONFIG.seeds)
+            continue
+        assert seeds == set(CONFIG.seeds)
+        form = name.rpartition("/")[2]
+        if "/train/" in name and form in FORMS:
+            task = name.partition("/")[0]
+            assert command.threshold_from == Path("study", task, "select", form, "threshold.json")
+
+
+def test_fewer_methods_make_fewer_jobs() -> None:
+    config = StudyConfig(out=Path("s"), tasks=("static-env",), methods=("sac", "dea-rrl"))
+    names = {job.name.removeprefix("static-env/") for job in study_jobs(config)}
+    assert names == {
+        "data/sac", "data/offline.hdf5", "pretrain/dea-rrl", "select/dea-rrl",
+        "select/dea-rrl/threshold.json", "train/sac", "train/dea-rrl", "plug/sac+dea-rrl",
+    }  # fmt: skip
+
+
+def test_configurations_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(ValueError, match="there is no method 'ppo'; there are sac, dea-rrl"):
+        StudyConfig(out=Path("s"), methods=("ppo",))
+    with pytest.raises(ValueError, match="epsilon must be chosen on other seeds"):
+        StudyConfig(out=Path("s"), selection_seeds=(3, 101, 102, 103))
+    with pytest.raises(ValueError, match="2 candidates of epsilon for 4 selection_seeds"):
+        StudyConfig(out=Path("s"), candidates=(0.1, 0.3))
