@@ -26,7 +26,7 @@ FORMS = ("dea-rrl", "rrl", "dea-rrl-annealed", "rrl-msdp", "dearrl-iql")
 METHODS = ("sac", *FORMS, "wcsac", "iql")
 FEW_UPDATES = ("--learning-rate", "1e-3", "--batch-size", "128")
 """The authors' half a million updates at 3e-4, of 256 transitions, would take days here."""
-PRETRAIN = {form: (*FEW_UPDATES, "--polyak", "0.1") for form in FORMS} | {
+PRETRAIN = dict.fromkeys(FORMS, (*FEW_UPDATES, "--polyak", "0.1")) | {
     "dea-rrl-annealed": (*FEW_UPDATES, "--final-expectile", "0.1")
 }
 """As many sweeps through time as with their polyak 0.005; an expectile that noise allows."""

@@ -88,6 +88,12 @@ class TrainConfig:
                     f"{name} must be a multiple of copies ({self.copies}), "
                     f"not {getattr(self, name)}"
                 )
+        if self.start_steps > self.steps:
+            raise ValueError(
+                f"start_steps ({self.start_steps}) must not exceed steps ({self.steps})"
+            )
+        if self.method.batch_size < 2:
+            raise ValueError("batch_size must be at least 2: finetuning halves it")
         if self.safety is None and (self.threshold, self.safety_seeds, self.finetune) != (
             None,
             None,
@@ -143,6 +149,8 @@ def train_config_from_json(plain: dict[str, Any]) -> TrainConfig:
         kind = LEARNERS[settings.pop("name")]
         if set(settings) != {f.name for f in fields(kind)}:
             raise TypeError(f"{kind.__name__}: not its settings")
+        if set(plain) != {f.name for f in fields(TrainConfig)}:
+            raise TypeError("not the entries of a TrainConfig")
         method: Any = kind(**_tuples(settings))
         safety = None if plain["safety"] is None else Path(plain["safety"])
         return TrainConfig(**_tuples(plain) | {"method": method, "safety": safety})

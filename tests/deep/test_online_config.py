@@ -46,6 +46,13 @@ def test_steps_are_counted_in_whole_steps_of_all_copies(name: str) -> None:
         replace(TINY, **{name: 242})  # type: ignore[arg-type]  # one of several types
 
 
+def test_a_run_begins_before_it_ends() -> None:
+    with pytest.raises(ValueError, match=r"start_steps \(80\) must not exceed steps \(40\)"):
+        replace(TINY, steps=40)
+    with pytest.raises(ValueError, match="batch_size must be at least 2: finetuning halves it"):
+        replace(TINY, method=SacSettings(batch_size=1))
+
+
 def test_other_counts_are_free() -> None:
     assert replace(TINY, steps_per_update=7, episodes=9, evaluation_episodes=5).episodes == 9
 
