@@ -1,0 +1,113 @@
+"""The paper's offline data, and policies behind filters that they have never met."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deep.__main__ import main
+from deep.data import keep_before_violation
+from deep.formats import read_hdf5
+from deep.online.episodes import run_episodes
+from deep.online.offline_data import offline_data, replayed
+from deep.online.plug import evaluate_policies
+from deep.online.train import train
+from deep.task_policy import TrainedPolicy
+from tests.deep.online_runs import SEEDS, TINY, blocking_filter, hand_made
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run of SAC on the brake that kept its replay buffer."""
+    folder = tmp_path_factory.mktemp("runs") / "sac"
+    train(TINY, folder, quiet=True)
+    return folder
+
+
+def test_the_replay_holds_every_step_of_the_seed(run: Path) -> None:
+    data = replayed(run, SEEDS[1])
+    assert len(data) == TINY.steps
+    result = json.loads((run / "result.json").read_text())
+    assert int(data.costs.sum()) == result["seeds"][1]["tv"]
+    # A copy's next observation is its next row's observation, except where an episode ended.
+    goes_on = ~data.ends[:-1]
+    assert np.array_equal(data.next_observations[:-1][goes_on], data.observations[1:][goes_on])
+
+
+def test_the_mixture_is_what_lies_before_violations_of_both(run: Path) -> None:
+    rng = np.random.default_rng(5)
+    data = offline_data("brake", run, SEEDS[0], random=300, keep=3, rng=rng)
+    own = keep_before_violation(replayed(run, SEEDS[0]), 3)
+    assert np.array_equal(data.observations[: len(own)], own.observations)
+    assert len(data) > len(own)
+    steps = np.diff(np.concatenate([[-1], np.flatnonzero(data.ends)]))
+    assert steps.max() <= 3
+    assert (data.costs[data.ends] == 1).all()
+
+
+def test_without_random_actions_and_filter_it_is_the_replay(run: Path) -> None:
+    rng = np.random.default_rng(5)
+    data = offline_data("brake", run, SEEDS[0], random=0, keep=None, rng=rng)
+    assert np.array_equal(data.observations, replayed(run, SEEDS[0]).observations)
+
+
+def test_the_command_writes_what_the_function_gives(run: Path, tmp_path: Path) -> None:
+    out = tmp_path / "new" / "data.hdf5"
+    given = ["--run-folder", str(run), "--seed", "3", "--random", "300", "--keep", "3"]
+    assert main(["offline-data", "--out", str(out), *given]) == 0
+    same = offline_data("brake", run, 3, 300, 3, np.random.default_rng(3))
+    assert np.array_equal(read_hdf5(out).actions, same.actions)
+
+
+def test_runs_without_a_buffer_are_refused(run: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    with pytest.raises(ValueError, match=r"there is no run here \(no config.json\)"):
+        offline_data("brake", tmp_path, 0, 0, None, rng)
+    with pytest.raises(ValueError, match=r"there is no seed 1, only \[0, 3\]"):
+        offline_data("brake", run, 1, 0, None, rng)
+    forgetful = tmp_path / "forgetful"
+    train(replace(TINY, keep_replay=False), forgetful, quiet=True)
+    with pytest.raises(ValueError, match="not a finished run that kept its replay buffer"):
+        offline_data("brake", forgetful, 0, 0, None, rng)
+
+
+def test_a_policy_alone_and_behind_filters(run: Path, tmp_path: Path) -> None:
+    policy = TrainedPolicy.load(run / "policies" / "seed3.safetensors")
+    alone = evaluate_policies(run, None, tmp_path / "alone", episodes=6)
+    found = run_episodes("brake", policy.act, None, 6, 3)
+    assert (alone[1]["acr"], alone[1]["avr"], alone[1]["arr"]) == (found.acr, found.avr, 0.0)
+    assert alone[1]["threshold"] is None
+
+    blocking = hand_made(tmp_path / "critics", {seed: blocking_filter(0.0, 0.4) for seed in SEEDS})
+    plugged = evaluate_policies(run, blocking, tmp_path / "plugged", episodes=6)
+    assert [entry["arr"] for entry in plugged] == [1.0, 1.0]
+    content = json.loads((tmp_path / "plugged" / "result.json").read_text())
+    assert content["method"] == f"sac+{blocking_filter(0.0, 0.4).method}"
+    assert content["task"] == "brake"
+    assert [entry["threshold"] for entry in content["seeds"]] == [0.4, 0.4]
+    assert content["budget"]["evaluation_episodes"] == 6
+
+    # Q = 1/2 everywhere: at another threshold nothing is blocked.
+    free = evaluate_policies(run, blocking, tmp_path / "free", threshold=0.6, episodes=6)
+    assert [entry["arr"] for entry in free] == [0.0, 0.0]
+    assert [entry["acr"] for entry in free] == [entry["acr"] for entry in alone]
+
+
+def test_thresholds_come_from_files_too(run: Path, tmp_path: Path) -> None:
+    blocking = hand_made(tmp_path / "critics", {seed: blocking_filter(0.0, 0.4) for seed in SEEDS})
+    (tmp_path / "t.json").write_text('{"threshold": 0.7}')
+    given = ["evaluate", "--policy", str(run), "--safety", str(blocking), "--episodes", "4"]
+    out = ["--out", str(tmp_path / "out"), "--threshold-from", str(tmp_path / "t.json")]
+    assert main([*given, *out]) == 0
+    content = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert [entry["threshold"] for entry in content["seeds"]] == [0.7, 0.7]
+    assert main([*given, *out, "--threshold", "0.5"]) == 2
+
+
+def test_an_unfinished_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"not a finished run \(no result.json\)"):
+        evaluate_policies(tmp_path, None, tmp_path / "out")
