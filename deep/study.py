@@ -10,6 +10,9 @@ For each task, in ``STUDY/<task>/``:
     plug/A+B        trained policies behind filters that they have never met
     ablation/FORM   the forms of Algorithm 1 at one epsilon (on one task)
 
+and in ``STUDY/real-<task>/train/METHOD`` short runs on Safety-Gymnasium's own task, behind what
+was pretrained on its vectorised twin.
+
 A job is one command of ``python -m deep``; :mod:`deep.grid` runs them.
 """
 
@@ -59,6 +62,9 @@ class StudyConfig:
         ablation_task: where the forms are compared at one epsilon.
         ablation_threshold: that epsilon (the paper's).
         ablation_steps: environment steps of those runs.
+        real_tasks: of the tasks, those that are run on Safety-Gymnasium's own too.
+        real_steps: environment steps of those runs, of one seed.
+        real_episodes: whole evaluation episodes of those runs.
     """
 
     out: Path
@@ -79,8 +85,14 @@ class StudyConfig:
     ablation_task: str = "point-goal1"
     ablation_threshold: float = 0.7
     ablation_steps: int = 300_000
+    real_tasks: tuple[str, ...] = ()
+    real_steps: int = 100_000
+    real_episodes: int = 100
 
     def __post_init__(self) -> None:
+        alien = [task for task in self.real_tasks if task not in self.tasks]
+        if alien:
+            raise ValueError(f"real_tasks: {alien[0]!r} is not one of the study's tasks")
         unknown = [method for method in self.methods if method not in METHODS]
         if unknown:
             raise ValueError(f"there is no method {unknown[0]!r}; there are {', '.join(METHODS)}")
@@ -126,6 +138,9 @@ def _task_jobs(config: StudyConfig, task: str) -> list[list[Job]]:
         ],
         [make.ablation(form) for form in forms if form != "dea-rrl-annealed"]
         if task == config.ablation_task
+        else [],
+        [make.real(method) for method in ("sac", *PLUGGED) if method in config.methods]
+        if task in config.real_tasks
         else [],
     ]
 
@@ -221,6 +236,22 @@ class _Jobs:
             f"ablation/{form}", (f"pretrain/{form}",), config.seeds, config.ablation_steps,
             *self._safety(form), "--threshold", str(config.ablation_threshold), "sac",
         )  # fmt: skip
+
+    def real(self, method: str) -> Job:
+        config = self.config
+        folder = config.out / f"real-{self.task}" / "train" / method
+        command = [
+            "train", "--task", f"real:{self.task}", "--out", str(folder),
+            "--seeds", str(config.seeds[0]), "--steps", str(config.real_steps),
+            "--episodes", str(config.real_episodes),
+        ]  # fmt: skip
+        needs: tuple[str, ...] = ()
+        if method in FORMS:
+            chosen = f"select/{method}/threshold.json"
+            needs = (self._name("pretrain", method), self._name(chosen))
+            command += [*self._safety(method), "--threshold-from", str(self.folder / chosen)]
+        name = f"real-{self.task}/train/{method}"
+        return Job(name, (*command, "sac"), folder / "result.json", needs)
 
     def iql(self) -> Job:
         part = "train/iql"

@@ -12,7 +12,9 @@ from deep.grid import Job
 from deep.online.commands import ChooseThreshold, Evaluate, OfflineData, Train, TrainOffline
 from deep.study import FORMS, METHODS, StudyConfig, study_jobs
 
-CONFIG = StudyConfig(out=Path("study"), tasks=("point-goal1", "static-env"))
+CONFIG = StudyConfig(
+    out=Path("study"), tasks=("point-goal1", "static-env"), real_tasks=("static-env",)
+)
 JOBS = {job.name: job for job in study_jobs(CONFIG)}
 
 
@@ -24,7 +26,7 @@ def test_names_are_unique_and_needs_come_first() -> None:
 
 
 def test_there_is_a_training_run_for_every_task_and_method() -> None:
-    trained = {name for name in JOBS if "/train/" in name}
+    trained = {name for name in JOBS if "/train/" in name and not name.startswith("real-")}
     assert trained == {f"{task}/train/{method}" for task in CONFIG.tasks for method in METHODS}
     assert {name for name in JOBS if "/ablation/" in name} == {
         f"point-goal1/ablation/{form}" for form in FORMS if form != "dea-rrl-annealed"
@@ -77,11 +79,24 @@ def test_thresholds_are_chosen_on_seeds_that_no_result_comes_from() -> None:
         if "/select/" in name or "/data/" in name:
             assert not seeds & set(CONFIG.seeds)
             continue
+        if name.startswith("real-"):
+            continue
         assert seeds == set(CONFIG.seeds)
         form = name.rpartition("/")[2]
         if "/train/" in name and form in FORMS:
             task = name.partition("/")[0]
             assert command.threshold_from == Path("study", task, "select", form, "threshold.json")
+
+
+def test_the_real_task_is_run_behind_what_its_twin_was_pretrained_to() -> None:
+    names = {name for name in JOBS if name.startswith("real-")}
+    methods = ("sac", "rrl", "dea-rrl", "dea-rrl-annealed")
+    assert names == {f"real-static-env/train/{method}" for method in methods}
+    command = parse(JOBS["real-static-env/train/rrl"].command)
+    assert isinstance(command, Train)
+    assert command.run_config.task == "real:static-env"
+    assert command.run_config.safety == Path("study/static-env/pretrain/rrl")
+    assert command.run_config.seeds == CONFIG.seeds[:1]
 
 
 def test_fewer_methods_make_fewer_jobs() -> None:
@@ -98,5 +113,7 @@ def test_configurations_that_make_no_sense_are_refused() -> None:
         StudyConfig(out=Path("s"), methods=("ppo",))
     with pytest.raises(ValueError, match="epsilon must be chosen on other seeds"):
         StudyConfig(out=Path("s"), selection_seeds=(3, 101, 102, 103))
+    with pytest.raises(ValueError, match="real_tasks: 'car-goal1' is not one of the study's"):
+        StudyConfig(out=Path("s"), real_tasks=("car-goal1",))
     with pytest.raises(ValueError, match="2 candidates of epsilon for 4 selection_seeds"):
         StudyConfig(out=Path("s"), candidates=(0.1, 0.3))
