@@ -37,7 +37,8 @@ class TrainConfig:
     behind the safety critic and recovery policy of a pretraining run: frozen, or finetuned.
 
     Attributes:
-        task: the name of a task; "real:" before it means Safety-Gymnasium's own.
+        task: the name of a task; "real:" before it means Safety-Gymnasium's own, "gym:" any
+            Gymnasium environment of that id.
         method: the task policy's learner, with its settings.
         safety: the folder of a pretraining run.
         safety_seeds: whose filters the seeds use; None: each seed its own.

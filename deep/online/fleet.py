@@ -10,26 +10,43 @@ from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from deep.tasks import TaskVectorEnv, make_task
+from deep.tasks.gym import GymVectorEnv
 from deep.tasks.safety_gym.real import RealVectorEnv
 
-__all__ = ["REAL", "Arrived", "Fleet", "make_vector_env"]
+__all__ = ["Arrived", "Fleet", "environment_seed", "evaluation_copies", "make_vector_env"]
 
 REAL = "real:"
 """Before the name of a task: the one of Safety-Gymnasium itself."""
+GYM = "gym:"
+"""Before the name of any Gymnasium environment with continuous actions."""
 ENVIRONMENT_STREAM = 5
+FOREIGN_COPIES = 4
 
 Env = VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]
 
 
-def make_vector_env(task: str, copies: int) -> TaskVectorEnv | RealVectorEnv:
-    """``copies`` of a task, or of Safety-Gymnasium's own with "real:" before its name.
+def make_vector_env(task: str, copies: int) -> TaskVectorEnv | RealVectorEnv | GymVectorEnv:
+    """``copies`` of a task.
+
+    Args:
+        task: a task's name; "real:" before it means Safety-Gymnasium's own, "gym:" any
+            Gymnasium environment of that id.
+        copies: at least one.
 
     Raises:
-        ValueError: if there is no such task, or Safety-Gymnasium is not installed.
+        ValueError: if there is no such task, it does not fit, or Safety-Gymnasium is not
+            installed.
     """
     if task.startswith(REAL):
         return RealVectorEnv(task.removeprefix(REAL), copies)
+    if task.startswith(GYM):
+        return GymVectorEnv(task.removeprefix(GYM), copies)
     return TaskVectorEnv(make_task(task), copies)
+
+
+def evaluation_copies(task: str) -> int | None:
+    """Copies at once in an evaluation: few simulators of others; None: one an episode."""
+    return FOREIGN_COPIES if task.startswith((REAL, GYM)) else None
 
 
 def environment_seed(seed: int, stream: int) -> int:
@@ -58,7 +75,7 @@ class Fleet:
     """N copies of a task for each of K seeds.
 
     Args:
-        task: a task's name, with "real:" before it for Safety-Gymnasium's own.
+        task: as for :func:`make_vector_env`.
         seeds: the K seeds.
         copies: N.
     """
@@ -93,7 +110,7 @@ class Fleet:
         )
 
     def snapshot(self) -> list[Any] | None:
-        """All that the copies will do hangs on, as JSON; None for Safety-Gymnasium's own."""
+        """All that the copies will do hangs on, as JSON; None for "real:" and "gym:"."""
         kept = [env.snapshot() for env in self.envs if isinstance(env, TaskVectorEnv)]
         return kept or None
 
@@ -108,7 +125,7 @@ class Fleet:
         )
 
     def close(self) -> None:
-        """End the simulators' processes."""
+        """Close the environments, and end simulators' processes."""
         for env in self.envs:
             env.close()
 

@@ -56,7 +56,7 @@ class OfflineConfig:
     """One run of IQL: K seeds on one data set.
 
     Attributes:
-        task: where the policies are evaluated; "real:" before it means Safety-Gymnasium's own.
+        task: where the policies are evaluated, as in training online ("real:", "gym:").
         data: an HDF5 file of transitions.
         method: the learner's settings.
         seeds: trained side by side; seed k alone gives the same.

@@ -15,7 +15,7 @@ from typing import Any
 from dead_ends.io.atomic import atomic_path
 from deep.folder import versions
 from deep.online.episodes import Episodes, run_episodes
-from deep.online.fleet import REAL
+from deep.online.fleet import evaluation_copies
 from deep.online.learner import TaskLearner, TaskLosses
 from deep.safety_filter import Normalisation, SafetyFilter
 from deep.task_policy import TrainedPolicy
@@ -38,7 +38,6 @@ __all__ = [
 EVALUATIONS = ("step", "seed", "episodes", "acr", "avr", "arr", "length")
 EPISODES_KEPT_APART = 1000
 """Evaluations during training draw other episodes than the one at the end."""
-REAL_COPIES = 4
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ def evaluate(
 
     ``stream`` draws other episodes; ``filters`` may be empty.
     """
-    copies = REAL_COPIES if task.startswith(REAL) else None
+    copies = evaluation_copies(task)
     return [
         run_episodes(task, policy.act, safety, episodes, policy.seed + stream, copies)
         for policy, safety in zip(policies, filters or [None] * len(policies), strict=True)

@@ -9,7 +9,7 @@ The folder holds ``config.json``, ``progress.csv`` (training), ``evaluations.csv
 ``checkpoint.safetensors`` with the replay buffer beside it, and at the end ``policies/``,
 ``filters/`` and ``result.json``, whose presence says that the run is finished. Noise,
 minibatches and environments are functions of seed and step, so a run that was killed ends
-as if nothing had happened (Safety-Gymnasium's own tasks excepted: they begin new episodes).
+as if nothing had happened (tasks with "real:" or "gym:" excepted: they begin new episodes).
 """
 
 from __future__ import annotations

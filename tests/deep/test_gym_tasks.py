@@ -1,0 +1,256 @@
+"""Any Gymnasium environment as a task: its steps, its seeds, and training on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+import deep.online.train
+from deep.online.config import TrainConfig
+from deep.online.episodes import run_episodes
+from deep.online.fleet import Fleet, evaluation_copies, make_vector_env
+from deep.online.replay import Replay
+from deep.online.sac import SacSettings
+from deep.online.train import train
+from deep.tasks.gym import GymVectorEnv
+from tests.deep.online_runs import table
+
+PENDULUM = TrainConfig(
+    task="gym:Pendulum-v1",
+    method=SacSettings(hidden=(8,), batch_size=16, reward_scale=1.0),
+    seeds=(0, 3),
+    steps=820,
+    copies=2,
+    start_steps=100,
+    steps_per_update=20,
+    replay=820,
+    evaluate_every=410,
+    evaluation_episodes=2,
+    episodes=3,
+    log_every=410,
+    checkpoint_every=410,
+    keep_replay=True,
+)
+
+
+class Counter(gymnasium.Env[NDArray[Any], NDArray[Any]]):
+    """Counts its steps, and reports a cost at the third, which it survives."""
+
+    def __init__(
+        self,
+        observations: spaces.Space[Any] | None = None,
+        actions: spaces.Space[Any] | None = None,
+    ) -> None:
+        self.observation_space = observations or spaces.Box(0.0, 9.0, (1,), np.float64)
+        self.action_space = actions or spaces.Box(
+            np.array([-1, 2], dtype=np.float32), np.array([3, 4], dtype=np.float32)
+        )
+        self.done: list[NDArray[Any]] = []
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[Any], dict[str, Any]]:
+        super().reset(seed=seed, options=options)
+        self.steps = 0
+        return np.zeros(1), {}
+
+    def step(self, action: NDArray[Any]) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
+        self.done.append(action)
+        self.steps += 1
+        cost = {"cost": 0.5} if self.steps == 3 else {}
+        return np.full(1, float(self.steps)), float(self.steps), False, False, cost
+
+
+def build(**kwargs: Any) -> Counter:
+    return Counter(**kwargs)
+
+
+def still(observations: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.zeros((len(observations), 2), dtype=np.float32)
+
+
+@pytest.fixture
+def counter() -> Iterator[None]:
+    gymnasium.register("test/Counter-v0", entry_point=build, max_episode_steps=4)
+    yield
+    del gymnasium.registry["test/Counter-v0"]
+
+
+def test_steps_are_those_of_plain_environments() -> None:
+    env = GymVectorEnv("Pendulum-v1", 3)
+    assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    observation, _ = env.reset(seed=7)
+    seeds = np.random.default_rng(7).integers(2**31, size=3)
+    alone = [gymnasium.make("Pendulum-v1") for _ in seeds]
+    for copy, seed, row in zip(alone, seeds, observation, strict=True):
+        assert np.array_equal(copy.reset(seed=int(seed))[0], row)
+    rng = np.random.default_rng(0)
+    for step in range(1, 420):
+        action = rng.uniform(-1, 1, (3, 1)).astype(np.float32)
+        observation, reward, terminated, truncated, info = env.step(action)
+        assert observation.dtype == np.float32
+        for n, copy in enumerate(alone):
+            there, gained, _, over, _ = copy.step(2 * action[n])
+            assert reward[n] == pytest.approx(gained, abs=1e-5)
+            assert truncated[n] == over == (step % 200 == 0)
+            last = info["final_obs"][n] if over else observation[n]
+            assert last == pytest.approx(there, abs=1e-5)
+            if over:
+                assert np.array_equal(observation[n], copy.reset()[0])
+        assert not terminated.any()
+        assert not info["cost"].any()
+        assert ("final_obs" in info) == truncated.any()
+    env.close()
+
+
+@pytest.mark.usefixtures("counter")
+def test_the_first_cost_ends_the_episode() -> None:
+    fleet = Fleet("gym:test/Counter-v0", (0,), 2)
+    assert (fleet.observation_dim, fleet.action_dim) == (1, 2)
+    observation = fleet.reset()
+    for step in range(1, 7):
+        arrived = fleet.step(np.zeros((1, 2, 2), dtype=np.float32))
+        violated = step % 3 == 0
+        assert (arrived.cost == violated).all()  # a cost of 0.5 counts as a violation
+        assert (arrived.terminal == violated).all()
+        assert not arrived.timeout.any()
+        assert (arrived.last == observation + 1).all()
+        observation = arrived.observation
+        assert (observation == step % 3).all()
+        assert (arrived.reward == (step - 1) % 3 + 1).all()
+    assert fleet.snapshot() is None
+    episodes = run_episodes("gym:test/Counter-v0", still, None, 5, 0, 2)
+    assert episodes.avr == 1
+    assert (episodes.lengths == 3).all()
+    assert (episodes.returns == 6).all()
+
+
+@pytest.mark.usefixtures("counter")
+def test_actions_are_stretched_to_the_environments_range() -> None:
+    env = GymVectorEnv("test/Counter-v0", 1)
+    env.reset(seed=0)
+    for action in ([-1, -1], [1, 1], [0, 0.5], [1 + 1e-6, -7]):
+        env.step(np.array([action]))
+    (copy,) = env._copies
+    found = np.array(copy.unwrapped.done)  # type: ignore[attr-defined]  # Counter's own
+    assert found.dtype == np.float32
+    assert found == pytest.approx(np.array([[-1, 2], [3, 4], [1, 3.5], [3, 2]]))
+
+
+@pytest.mark.usefixtures("counter")
+def test_time_limits_truncate() -> None:
+    gymnasium.registry["test/Counter-v0"].max_episode_steps = 2
+    env = GymVectorEnv("test/Counter-v0", 1)
+    env.reset(seed=0)
+    over = [env.step(np.zeros((1, 2)))[2:4] for _ in range(4)]
+    assert [bool(terminated[0]) for terminated, _ in over] == [False] * 4
+    assert [bool(truncated[0]) for _, truncated in over] == [False, True, False, True]
+    gymnasium.registry["test/Counter-v0"].max_episode_steps = 3
+    env = GymVectorEnv("test/Counter-v0", 1)
+    env.reset(seed=0)
+    *_, (_, _, terminated, truncated, _) = [env.step(np.zeros((1, 2))) for _ in range(3)]
+    assert terminated.all()
+    assert not truncated.any()
+
+
+def refusal(observations: spaces.Space[Any] | None, actions: spaces.Space[Any] | None) -> str:
+    """The sentence with which an environment with these spaces is refused."""
+    kwargs = {"observations": observations, "actions": actions}
+    gymnasium.register("test/Odd-v0", entry_point=build, kwargs=kwargs)
+    try:
+        with pytest.raises(ValueError, match="^test/Odd-v0: ") as caught:
+            make_vector_env("gym:test/Odd-v0", 1)
+    finally:
+        del gymnasium.registry["test/Odd-v0"]
+    return str(caught.value)
+
+
+def test_other_spaces_are_refused() -> None:
+    sentence = "observations must be vectors of numbers (Box), not "
+    assert sentence + "Discrete(3)" in refusal(spaces.Discrete(3), None)
+    assert sentence + "Box(0.0, 1.0, (2, 2), float32)" in refusal(spaces.Box(0, 1, (2, 2)), None)
+    sentence = "actions must be vectors within finite bounds (Box), not "
+    assert sentence + "Discrete(2)" in refusal(None, spaces.Discrete(2))
+    assert sentence + "Box(-1.0, 1.0, (1, 1), float32)" in refusal(None, spaces.Box(-1, 1, (1, 1)))
+    assert sentence + "Box(-inf, inf, (1,)" in refusal(None, spaces.Box(-np.inf, np.inf, (1,)))
+
+
+def test_errors_say_what_is_wrong() -> None:
+    with pytest.raises(ValueError, match="^there is no Gymnasium environment 'Bike-v0': "):
+        make_vector_env("gym:Bike-v0", 1)
+    with pytest.raises(ValueError, match="'no_module:Bike-v0': No module named 'no_module'"):
+        make_vector_env("gym:no_module:Bike-v0", 1)
+    with pytest.raises(ValueError, match="^num_envs must be at least 1, not 0$"):
+        GymVectorEnv("Pendulum-v1", 0)
+    env = GymVectorEnv("Pendulum-v1", 2)
+    with pytest.raises(ValueError, match=r"^Pendulum-v1: call reset\(\) before step\(\)$"):
+        env.step(np.zeros((2, 1)))
+    with pytest.raises(ValueError, match="^the copies' seeds are drawn: give one seed, not a list"):
+        env.reset(seed=[1, 2])
+
+
+def test_few_copies_of_others_simulators_are_evaluated_at_once() -> None:
+    assert evaluation_copies("brake") is None
+    assert evaluation_copies("real:static-env") == evaluation_copies("gym:Pendulum-v1") == 4
+
+
+def test_a_fleet_is_a_function_of_its_seeds() -> None:
+    both, alone = Fleet("gym:Pendulum-v1", (4, 9), 2), Fleet("gym:Pendulum-v1", (9,), 2)
+    first = both.reset()
+    assert np.array_equal(first[1:], alone.reset())
+    assert len(np.unique(first[..., 0])) == 4
+    action = np.random.default_rng(0).uniform(-1, 1, (205, 2, 2, 1)).astype(np.float32)
+    for step in action:
+        arrived, one = both.step(step), alone.step(step[1:])
+        for two, own in zip(arrived, one, strict=True):
+            assert np.array_equal(np.asarray(two)[1:], np.asarray(own))
+
+
+def test_training_seeds_reproduce_and_truncation_is_no_end(tmp_path: Path) -> None:
+    found = train(PENDULUM, tmp_path / "both", quiet=True)
+    again = train(replace(PENDULUM, seeds=(3,)), tmp_path / "one", quiet=True)
+    assert found.seeds[1]["acr"] == pytest.approx(again.seeds[0]["acr"], rel=1e-3)
+    assert found.seeds[0]["acr"] != found.seeds[1]["acr"]
+    assert [entry["episodes"] for entry in found.seeds] == [4, 4]
+    assert {entry["tv"] for entry in found.seeds} == {0}
+    assert [row["length"] for row in table(tmp_path / "both" / "evaluations.csv")] == ["200"] * 4
+    replay = Replay(tmp_path / "both" / "replay.bin", (0, 3), 2, 410, 205, 3, 1)
+    rows = replay._rows.reshape(2, 615, 2, 12)[:, :410]
+    speed, torque, after = rows[..., 2], 2 * rows[..., 4], rows[..., 7]
+    # Every transition is the pendulum's own, the last ones before a time limit as well.
+    moved = (speed + 0.05 * (15 * rows[..., 1] + 3 * torque)).clip(-8, 8)
+    assert after == pytest.approx(moved, abs=1e-4)
+    ends = np.isin(np.arange(410), (199, 399))
+    assert np.array_equal(rows[..., 11], np.broadcast_to(ends[:, None], (2, 410, 2)))
+    goes_on = (rows[:, :-1, :, 5:8] == rows[:, 1:, :, :3]).all(axis=(0, 2, 3))
+    assert np.array_equal(goes_on, ~ends[:-1])
+    # Neither terminal nor a cost: the target bootstraps through the time limit.
+    assert not rows[..., 9:11].any()
+
+
+def test_a_resumed_run_begins_new_episodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    steps = 0
+    plain = deep.online.train._Run.advance
+
+    def killed_once(self: deep.online.train._Run) -> Any:
+        nonlocal steps
+        steps += 1
+        if steps == 300:
+            raise KeyboardInterrupt
+        return plain(self)
+
+    monkeypatch.setattr(deep.online.train._Run, "advance", killed_once)
+    with pytest.raises(KeyboardInterrupt):
+        train(PENDULUM, tmp_path, quiet=True)
+    found = train(PENDULUM, tmp_path, quiet=True)
+    # 205 steps before the checkpoint end one episode of each copy, 205 after it another.
+    assert [entry["episodes"] for entry in found.seeds] == [4, 4]
