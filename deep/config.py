@@ -93,6 +93,9 @@ class PretrainConfig:
         horizon: H, the most steps from a dead-end to the violation; None: the task's own,
             where it has an exact answer.
         gamma_safe: None: H / (H + 1) for dea-rrl-annealed, the settings' for the others.
+        sharpness: power to which the critic raises the observations' closenesses, the
+            coordinates that stay in [0, 1] (lidars), before it normalises them: 1 leaves
+            them; a high one spreads the last centimetres before an obstacle.
         threshold: None: gamma_safe^H / 4 for dea-rrl-annealed, gamma_safe^(H + 1/2) for
             the others.
         device: cpu or cuda.
@@ -108,6 +111,7 @@ class PretrainConfig:
     mix: Mix = field(default_factory=Mix)
     horizon: int | None = None
     gamma_safe: float | None = None
+    sharpness: float = 1.0
     threshold: float | None = None
     device: str = "cpu"
     log_every: int = 250
@@ -118,6 +122,8 @@ class PretrainConfig:
             raise ValueError("give either a task or a data file")
         if self.device not in ("cpu", "cuda"):
             raise ValueError(f"device must be cpu or cuda, not {self.device!r}")
+        if self.sharpness < 1:
+            raise ValueError(f"sharpness must be at least 1, not {self.sharpness}")
         for name in ("updates", "log_every", "checkpoint_every"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}")

@@ -69,11 +69,21 @@ def _standardise(graph: _Graph, x: str, centre: tuple[float, ...], scale: tuple[
     return graph.op("Div", shifted, graph.constant(np.array(scale, dtype=np.float32)))
 
 
+def _powered(graph: _Graph, x: str, power: tuple[float, ...]) -> str:
+    """x ** power where the power is not 1, of what is not negative."""
+    exponents = np.array(power, dtype=np.float32)
+    if (exponents == 1).all():
+        return x
+    positive = graph.op("Pow", graph.op("Relu", x), graph.constant(exponents))
+    return graph.op("Where", graph.constant(exponents != 1), positive, x)
+
+
 def export_onnx(safety: SafetyFilter, path: str | os.PathLike[str]) -> None:
     """Write the filter as an ONNX model (opset 17)."""
     graph = _Graph()
     n = safety.normalisation
-    observation = _standardise(graph, "observation", n.observation_centre, n.observation_scale)
+    seen = _powered(graph, "observation", n.observation_power)
+    observation = _standardise(graph, seen, n.observation_centre, n.observation_scale)
     action = _standardise(graph, "action", n.action_centre, n.action_scale)
 
     x = graph.op("Concat", observation, action, axis=1)

@@ -15,16 +15,16 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from dead_ends.io.atomic import atomic_path
 from deep.batches import Batches
 from deep.checkpoint import load_checkpoint, save_checkpoint
-from deep.config import Mix, PretrainConfig, config_from_json, config_to_json, resolve
+from deep.config import PretrainConfig, config_from_json, config_to_json, resolve
 from deep.data import Transitions
 from deep.folder import CsvLog, InterruptAfterUpdate, fingerprint, versions
 from deep.formats import read_hdf5
+from deep.normalise import normalisation_of, normalise
 from deep.pretrain import Learner, Sizes, build_learner
 from deep.pretrain.extract import extract_filter
 from deep.pretrain.health import CriticHealth, check_critics, check_losses
@@ -33,10 +33,8 @@ from deep.tasks import Brake, DoubleIntegrator, Task, make_task
 
 __all__ = [
     "PretrainResult",
-    "centre_and_scale",
     "load_data",
-    "normalisation_of",
-    "normalise",
+    "load_raw",
     "open_run",
     "pretrain",
     "read_run",
@@ -47,9 +45,6 @@ COLUMNS = ("update", "seed", "critic_loss", "value_loss", "recovery_loss", "mean
 DATA_STREAM = 7
 HEALTH_BATCH = 1 << 40
 """The number of a batch that no training reaches: fresh rows for the last check."""
-CONSTANT = 1e-6
-"""A coordinate that deviates by less, relative to its size or 1, is constant up to rounding."""
-ROWS = 1 << 14
 
 
 @dataclass(frozen=True)
@@ -108,87 +103,40 @@ def read_run(folder: Path) -> PretrainConfig:
     return config
 
 
-def normalisation_of(data: Transitions) -> Normalisation:
-    """Observations to mean 0 and standard deviation 1, actions by their range to [-1, 1].
-
-    Sensors have spikes that a range would be made of: with it an accelerometer's usual
-    values would fill a small part of [-1, 1], the smaller the longer it was recorded. A
-    coordinate that is constant up to rounding is only centred.
-    """
-    centre, scale = centre_and_scale(data.observations)
-    low, high = (data.actions.min(axis=0).astype(float), data.actions.max(axis=0).astype(float))
-    half = (high - low) / 2
-    return Normalisation(
-        centre,
-        scale,
-        tuple(((low + high) / 2).tolist()),
-        tuple(np.where(half > 0, half, 1.0).tolist()),
-    )
-
-
-def centre_and_scale(x: NDArray[np.float32]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Of observations (n, o): mean, and standard deviation or 1 where they do not vary."""
-    mean, deviation = _moments(x)
-    constant = deviation <= CONSTANT * np.maximum(1, np.abs(mean))
-    return tuple(mean.tolist()), tuple(np.where(constant, 1.0, deviation).tolist())
-
-
-def _moments(x: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean and standard deviation of each column, in float64 without a copy in it."""
-    mean = x.mean(axis=0, dtype=np.float64)
-    blocks = (x[first : first + ROWS] for first in range(0, len(x), ROWS))
-    squares = sum(((block - mean) ** 2).sum(axis=0) for block in blocks)
-    return mean, np.sqrt(squares / len(x))
-
-
-def normalise(data: Transitions, n: Normalisation) -> Transitions:
-    """The data with observations and actions as networks see them."""
-    return replace(
-        data,
-        observations=_scaled(data.observations, n.observation_centre, n.observation_scale),
-        next_observations=_scaled(
-            data.next_observations, n.observation_centre, n.observation_scale
-        ),
-        actions=_scaled(data.actions, n.action_centre, n.action_scale),
-    )
-
-
-def _scaled(
-    x: NDArray[np.float32], centre: tuple[float, ...], scale: tuple[float, ...]
-) -> NDArray[np.float32]:
-    """(x - centre) / scale as one new read-only array."""
-    scaled = x - np.array(centre, dtype=np.float32)
-    scaled /= np.array(scale, dtype=np.float32)
-    scaled.flags.writeable = False
-    return scaled
-
-
 def load_data(config: PretrainConfig) -> tuple[list[Transitions], list[Normalisation]]:
     """Normalised data, one set a seed from a task or one for all from a file; a
     normalisation a seed.
     """
+    raw, normalisations = load_raw(config)
+    data = []
+    for normalisation in normalisations[: len(raw)]:
+        data.append(normalise(raw.pop(0), normalisation))  # not both at once, for all seeds
+    return data, normalisations
+
+
+def load_raw(config: PretrainConfig) -> tuple[list[Transitions], list[Normalisation]]:
+    """The same data as they were recorded, and how they are to be normalised."""
     if config.data is not None:
         raw = read_hdf5(config.data)
-        normalisation = normalisation_of(raw)
-        return [normalise(raw, normalisation)], [normalisation] * len(config.seeds)
+        return [raw], [normalisation_of(raw, config.sharpness)] * len(config.seeds)
     assert config.task is not None
     task = make_task(config.task)
-    pairs = [_collected(task, config.mix, seed) for seed in config.seeds]
+    pairs = [_collected(task, config, seed) for seed in config.seeds]
     return [data for data, _ in pairs], [normalisation for _, normalisation in pairs]
 
 
-def _collected(task: Task, mix: Mix, seed: int) -> tuple[Transitions, Normalisation]:
-    """A seed's own data; normalised unless the task's observations are scaled already."""
-    data = mix.collect(task, np.random.default_rng((seed, DATA_STREAM)))
+def _collected(task: Task, config: PretrainConfig, seed: int) -> tuple[Transitions, Normalisation]:
+    """A seed's own data; to be normalised unless the task's observations are scaled already."""
+    data = config.mix.collect(task, np.random.default_rng((seed, DATA_STREAM)))
     identity = Normalisation.identity(task.observation_dim, task.action_dim)
     if (task.observation_low == -1).all() and (task.observation_high == 1).all():
         return data, identity
     found = replace(
-        normalisation_of(data),
+        normalisation_of(data, config.sharpness),
         action_centre=identity.action_centre,  # a task's actions fill [-1, 1]
         action_scale=identity.action_scale,
     )
-    return normalise(data, found), found
+    return data, found
 
 
 def pretrain(config: PretrainConfig, folder: Path, *, quiet: bool = False) -> PretrainResult:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -37,17 +38,21 @@ FORMAT = "dead-ends safety filter 1"
 
 @dataclass(frozen=True)
 class Normalisation:
-    """How observations and actions enter the networks: (x - centre) / scale.
+    """How observations and actions enter the networks: (x ** power - centre) / scale.
 
     Attributes:
         observation_centre, observation_scale: one number a coordinate.
         action_centre, action_scale: so that actions fill [-1, 1].
+        observation_power: one number a coordinate, at least 1; where it is not 1, what is
+            negative counts as 0; empty: 1 everywhere. Of a closeness in [0, 1], such as a
+            lidar's, a high power spreads the last centimetres and forgets the rest.
     """
 
     observation_centre: tuple[float, ...]
     observation_scale: tuple[float, ...]
     action_centre: tuple[float, ...]
     action_scale: tuple[float, ...]
+    observation_power: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("observation", "action"):
@@ -56,6 +61,27 @@ class Normalisation:
                 raise ValueError(f"{name}: {len(centre)} centres for {len(scale)} scales")
             if not all(np.isfinite(centre)) or not all(np.isfinite(scale)) or min(scale) <= 0:
                 raise ValueError(f"{name}: centres must be finite, scales positive and finite")
+        power = self.observation_power
+        if len(power) not in (0, len(self.observation_centre)):
+            raise ValueError(
+                f"observation: {len(power)} powers for {len(self.observation_centre)} centres"
+            )
+        if not all(np.isfinite(power)) or min(power, default=1) < 1:
+            raise ValueError("observation: powers must be finite and at least 1")
+
+    @cached_property
+    def _sharpened(self) -> NDArray[np.int64]:
+        return np.flatnonzero(np.array(self.observation_power) != 1)
+
+    def powered(self, observations: NDArray[Any]) -> NDArray[np.float32]:
+        """x ** power, for observations (..., o)."""
+        x = np.asarray(observations, dtype=np.float32)
+        if not len(self._sharpened):
+            return x
+        power = np.array(self.observation_power, dtype=np.float32)[self._sharpened]
+        x = x.copy()
+        x[..., self._sharpened] = np.maximum(x[..., self._sharpened], 0) ** power
+        return x
 
     @classmethod
     def from_json(cls, plain: dict[str, list[float]]) -> Normalisation:
@@ -160,14 +186,15 @@ class SafetyFilter:
 
     def q(self, observations: NDArray[Any], actions: NDArray[Any]) -> Floats:
         """float32 (n,): Q_c(s, a), the most pessimistic member's, for (n, o) and (n, a)."""
-        x = np.concatenate([observations, actions], axis=1, dtype=np.float32, casting="same_kind")
+        seen = self.normalisation.powered(observations)
+        x = np.concatenate([seen, actions], axis=1, dtype=np.float32, casting="same_kind")
         logits = forward(self._raw_critic, x)[:, :, 0].max(axis=0)
         return _sigmoid(logits)
 
     def recovery_action(self, observations: NDArray[Any]) -> Floats:
         """float32 (n, a): the mean of pi_rec, in the environment's units."""
-        x = np.asarray(observations, dtype=np.float32)
-        mean = forward(self._raw_recovery, x)[:, : self.action_dim]
+        seen = self.normalisation.powered(observations)
+        mean = forward(self._raw_recovery, seen)[:, : self.action_dim]
         action = np.minimum(np.maximum(self.reach * np.tanh(mean), -1), 1)
         return np.asarray(action * self._action_scale + self._action_centre, dtype=np.float32)
 

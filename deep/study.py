@@ -54,6 +54,7 @@ class StudyConfig:
         random: transitions with random actions among the offline data, before the filter.
         keep: offline data are so many steps before violations (the paper: 100, with which
             every state in the data is soon lost).
+        sharpness: of the critics' view of lidars, see :class:`deep.config.PretrainConfig`.
         horizon: H of the tasks, the most steps from a dead-end to the violation: a Point
             at top speed brakes to a stand in 18 steps.
         candidates: of epsilon, for the critics with gamma_safe 0.99.
@@ -74,13 +75,14 @@ class StudyConfig:
     selection_seeds: tuple[int, ...] = (100, 101, 102, 103)
     steps: int = 1_000_000
     selection_steps: int = 100_000
-    pretrain_updates: int = 20_000
+    pretrain_updates: int = 15_000
     iql_updates: int = 50_000
     random: int = 400_000
     keep: int = 400
+    sharpness: float = 24.0
     horizon: int = 20
-    candidates: tuple[float, ...] = (0.5, 0.7, 0.8, 0.9)
-    annealed_candidates: tuple[float, ...] = (0.02, 0.04, 0.08, 0.16)
+    candidates: tuple[float, ...] = (0.3, 0.5, 0.7, 0.8)
+    annealed_candidates: tuple[float, ...] = (0.02, 0.05, 0.1, 0.2)
     safety_share: float = 0.05
     ablation_task: str = "point-goal1"
     ablation_threshold: float = 0.7
@@ -193,7 +195,7 @@ class _Jobs:
             part, ("data/offline.hdf5",), "pretrain", "--data",
             str(self.folder / "data/offline.hdf5"), "--out", str(self.folder / part),
             "--seeds", *map(str, seeds), "--horizon", str(self.config.horizon),
-            "--updates", str(self.config.pretrain_updates), form, *PRETRAIN[form],
+            "--sharpness", str(self.config.sharpness), "--updates", str(self.config.pretrain_updates), form, *PRETRAIN[form],
             result=f"filters/seed{seeds[-1]}.safetensors",
         )  # fmt: skip
 

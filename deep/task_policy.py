@@ -53,7 +53,7 @@ class TrainedPolicy:
     def act(self, observations: NDArray[Any]) -> Floats:
         """float32 (n, a): the mean actions, in the environment's units."""
         n = self.normalisation
-        output = forward(self._raw, np.asarray(observations, dtype=np.float32))
+        output = forward(self._raw, n.powered(observations))
         action = np.tanh(output[:, : len(n.action_centre)])
         return np.asarray(action * n.action_scale + np.array(n.action_centre), dtype=np.float32)
 

@@ -8,20 +8,19 @@ stable environment; RRL's go on learning, because the critic it needs is the tas
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from deep.batches import Batch, Batches
-from deep.networks import GaussianPolicy
 from deep.online.learner import TaskBatch
-from deep.pretrain import Learner, Rrl
+from deep.online.scaling import Scaling
+from deep.pretrain import Learner, Rrl, TaskPolicy
 from deep.pretrain.extract import extract_filter
-from deep.safety_filter import Normalisation, SafetyFilter
+from deep.safety_filter import SafetyFilter
 
 __all__ = ["FinetunedGate", "FrozenGate", "Gate", "Gated", "OpenGate"]
 
@@ -46,8 +45,11 @@ class Gate(Protocol):
     def correct(self, observation: Floats, action: Floats) -> Gated:
         """Correct raw actions (K, N, a) in raw observations (K, N, o)."""
 
-    def learn(self, update: int, batch: TaskBatch, policy: GaussianPolicy) -> None:
-        """Finetune on the task learner's batch, after its own update."""
+    def learn(self, update: int, batch: TaskBatch, task_policy: TaskPolicy) -> None:
+        """Finetune on the task learner's batch, raw, after its own update.
+
+        ``task_policy`` takes raw observations and noise and gives actions.
+        """
 
     def filters(self) -> tuple[SafetyFilter, ...]:
         """The filters as they are now, one a seed; none where nothing is corrected."""
@@ -60,7 +62,7 @@ class OpenGate:
         """The actions."""
         return Gated(action, np.zeros(action.shape[:2], dtype=np.bool_))
 
-    def learn(self, update: int, batch: TaskBatch, policy: GaussianPolicy) -> None:
+    def learn(self, update: int, batch: TaskBatch, task_policy: TaskPolicy) -> None:
         """Nothing."""
 
     def filters(self) -> tuple[SafetyFilter, ...]:
@@ -81,7 +83,7 @@ class FrozenGate:
             np.stack([part.executed for part in done]), np.stack([part.intervened for part in done])
         )
 
-    def learn(self, update: int, batch: TaskBatch, policy: GaussianPolicy) -> None:
+    def learn(self, update: int, batch: TaskBatch, task_policy: TaskPolicy) -> None:
         """Nothing: the correction is a fixed part of the environment."""
 
     def filters(self) -> tuple[SafetyFilter, ...]:
@@ -95,16 +97,16 @@ class FinetunedGate:
     Args:
         learner: pretrained; changed in place.
         thresholds: one a seed.
-        normalisation: one a seed.
+        scaling: what the learner's networks see.
         gamma_safe: the learner's discount of the cost.
-        offline: the pretraining's data, half of the batch size at a time.
+        offline: the pretraining's data as recorded, half of the batch size at a time.
     """
 
     def __init__(
         self,
         learner: Learner,
         thresholds: Sequence[float],
-        normalisation: Sequence[Normalisation],
+        scaling: Scaling,
         gamma_safe: float,
         offline: Batches,
     ) -> None:
@@ -112,38 +114,42 @@ class FinetunedGate:
         self._gamma_safe = gamma_safe
         self._thresholds = tuple(thresholds)
         self._limits = torch.tensor(thresholds, dtype=torch.float32)[:, None]
-        self._normalisation = tuple(normalisation)
+        self._scaling = scaling
         self._offline = offline
-        self._centre = _columns(n.observation_centre for n in normalisation)
-        self._scale = _columns(n.observation_scale for n in normalisation)
-        self._action_centre = _columns(n.action_centre for n in normalisation)
-        self._action_scale = _columns(n.action_scale for n in normalisation)
 
     @torch.no_grad()
     def correct(self, observation: Floats, action: Floats) -> Gated:
         """Equation (behavior_correction) with the critic of the moment."""
-        s = (torch.from_numpy(observation) - self._centre) / self._scale
+        s = self._scaling.observation(torch.from_numpy(observation))
         a = torch.from_numpy(action)
-        intervened = ~(self.learner.critic.worst(s, self._scaled(a)) < self._limits)
-        recovery = self.learner.recovery.mean_action(s) * self._action_scale + self._action_centre
+        intervened = ~(self.learner.critic.worst(s, self._scaling.action(a)) < self._limits)
+        recovery = self._scaling.raw_action(self.learner.recovery.mean_action(s))
         return Gated(torch.where(intervened[..., None], recovery, a).numpy(), intervened.numpy())
 
-    def learn(self, update: int, batch: TaskBatch, policy: GaussianPolicy) -> None:
-        """One update of critic and recovery policy; RRL's critic is that of ``policy``."""
+    def learn(self, update: int, batch: TaskBatch, task_policy: TaskPolicy) -> None:
+        """One update of critic and recovery policy; RRL's critic is that of ``task_policy``."""
+        raw = _joined(self._offline.get(update), batch)
+        scaling = self._scaling
         if isinstance(self.learner, Rrl):
-            self.learner.task_policy = lambda s, noise: self._scaled(policy.sample(s, noise)[0])
-        fresh = batch._replace(executed=self._scaled(batch.executed))
-        self.learner.update(_joined(self._offline.get(update), fresh), 0.0)
-
-    def _scaled(self, action: Tensor) -> Tensor:
-        return (action - self._action_centre) / self._action_scale
+            # RRL asks in its own coordinates; the task policy has others.
+            self.learner.task_policy = lambda _, noise: scaling.action(
+                task_policy(raw.next_observation, noise)
+            )
+        self.learner.update(
+            raw._replace(
+                observation=scaling.observation(raw.observation),
+                next_observation=scaling.observation(raw.next_observation),
+                action=scaling.action(raw.action),
+            ),
+            0.0,
+        )
 
     def filters(self) -> tuple[SafetyFilter, ...]:
         """Copies of the networks of the moment."""
         return tuple(
             extract_filter(self.learner, seed, threshold, self._gamma_safe, normalisation)
             for seed, threshold, normalisation in zip(
-                self.learner.seeds, self._thresholds, self._normalisation, strict=True
+                self.learner.seeds, self._thresholds, self._scaling.normalisation, strict=True
             )
         )
 
@@ -160,13 +166,6 @@ def _joined(offline: Batch, online: TaskBatch) -> Batch:
         online.noise,
         online.next_noise,
     )
-    return Batch(*(_halves(old, new[:, :half]) for old, new in zip(offline, fresh, strict=True)))
-
-
-def _columns(rows: Iterable[Sequence[float]]) -> Tensor:
-    """(K, 1, n) from K rows."""
-    return torch.tensor(list(rows), dtype=torch.float32)[:, None]
-
-
-def _halves(first: Tensor, second: Tensor) -> Tensor:
-    return torch.cat([first, second], dim=1)
+    return Batch(
+        *(torch.cat([old, new[:, :half]], dim=1) for old, new in zip(offline, fresh, strict=True))
+    )

@@ -53,10 +53,11 @@ class TaskSettings:
 
 
 class TaskBatch(NamedTuple):
-    """B transitions for each of K seeds; float32, observations normalised.
+    """B transitions for each of K seeds; float32.
 
     Attributes:
-        observation, next_observation: (K, B, observation dim).
+        observation, next_observation: (K, B, observation dim); raw in the replay buffer,
+            normalised where a learner updates.
         action: (K, B, action dim), what the task policy proposed (the paper's relabelling).
         executed: (K, B, action dim), what was done: the proposal or the recovery action.
         reward: (K, B), unscaled.

@@ -23,6 +23,7 @@ from deep.checkpoint import load_checkpoint, save_checkpoint
 from deep.data import Transitions
 from deep.folder import CsvLog, InterruptAfterUpdate, fingerprint
 from deep.formats import read_hdf5
+from deep.normalise import centre_and_scale, normalise
 from deep.online.fleet import Fleet
 from deep.online.iql import Iql, IqlSettings
 from deep.online.learner import TaskBatch, TaskLosses
@@ -41,7 +42,6 @@ from deep.online.results import (
     write_result,
 )
 from deep.pretrain.learner import Sizes
-from deep.run import centre_and_scale, normalise
 from deep.safety_filter import Normalisation
 
 __all__ = ["OfflineConfig", "task_batch", "train_offline"]

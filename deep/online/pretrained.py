@@ -12,25 +12,23 @@ from deep.checkpoint import load_checkpoint
 from deep.config import PretrainConfig
 from deep.online.config import TrainConfig
 from deep.online.gate import FinetunedGate, FrozenGate, Gate, OpenGate
+from deep.online.scaling import Scaling
 from deep.pretrain import Learner, RrlMsdpSettings, RrlSettings, build_learner
 from deep.pretrain.learner import Sizes
-from deep.run import load_data, read_run
-from deep.safety_filter import Normalisation, SafetyFilter
+from deep.run import load_raw, read_run
+from deep.safety_filter import SafetyFilter
 
 __all__ = ["build_gate"]
 
 
-def build_gate(config: TrainConfig, sizes: Sizes) -> tuple[Gate, tuple[Normalisation, ...]]:
-    """The gate that the configuration asks for, and its normalisations, one a seed.
-
-    Without a pretraining run both are empty. Otherwise the task policy sees observations
-    as the critic does.
+def build_gate(config: TrainConfig, sizes: Sizes) -> Gate:
+    """The gate that the configuration asks for; an open one without a pretraining run.
 
     Raises:
         ValueError: if the pretraining run is missing, unfinished, or does not fit the task.
     """
     if config.safety is None:
-        return OpenGate(), ()
+        return OpenGate()
     pretrained = read_run(config.safety)
     seeds = config.safety_seeds or config.seeds
     filters = _filters(config, pretrained, seeds)
@@ -41,15 +39,14 @@ def build_gate(config: TrainConfig, sizes: Sizes) -> tuple[Gate, tuple[Normalisa
                 f"actions in R^{safety.action_dim}, {config.task} has R^{sizes.observation} and "
                 f"R^{sizes.action}"
             )
-    normalisation = tuple(safety.normalisation for safety in filters)
     finetune = config.finetune
     if finetune is None:
         finetune = isinstance(pretrained.method, RrlSettings | RrlMsdpSettings)
     if not finetune:
-        return FrozenGate(filters), normalisation
+        return FrozenGate(filters)
     learner = _learner(config.safety, pretrained, sizes, config.seeds, seeds)
     thresholds = [safety.threshold for safety in filters]
-    data, _ = load_data(pretrained)
+    data, _ = load_raw(pretrained)
     if len(data) > 1:
         data = [data[pretrained.seeds.index(seed)] for seed in seeds]
     offline = Batches(
@@ -59,8 +56,8 @@ def build_gate(config: TrainConfig, sizes: Sizes) -> tuple[Gate, tuple[Normalisa
         pretrained.method.violation_share,
         torch.device("cpu"),
     )
-    gamma_safe = filters[0].gamma_safe
-    return FinetunedGate(learner, thresholds, normalisation, gamma_safe, offline), normalisation
+    scaling = Scaling([safety.normalisation for safety in filters])
+    return FinetunedGate(learner, thresholds, scaling, filters[0].gamma_safe, offline)
 
 
 def _filters(

@@ -16,11 +16,11 @@ import torch
 from numpy.typing import NDArray
 
 from deep.data import Transitions
+from deep.normalise import centre_and_scale
 from deep.online.learner import TaskBatch
-from deep.run import centre_and_scale
 from deep.safety_filter import Normalisation
 
-__all__ = ["Arrival", "Replay", "normalised"]
+__all__ = ["Arrival", "Replay"]
 
 BLOCK = 64
 BATCH_STREAM = 11
@@ -92,10 +92,8 @@ class Replay:
         for part, low, high in zip(arrival, self._edges, self._edges[1:], strict=False):
             target[..., low:high] = part if part.ndim == 3 else part[..., None]
 
-    def sample(
-        self, update: int, steps: int, size: int, normalisation: Sequence[Normalisation]
-    ) -> TaskBatch:
-        """The minibatch of ``update``, from the last ``capacity`` of ``steps`` steps.
+    def sample(self, update: int, steps: int, size: int) -> TaskBatch:
+        """The minibatch of ``update``, from the last ``capacity`` of ``steps`` steps, raw.
 
         Rows and noise are functions of seed and update alone.
         """
@@ -111,10 +109,10 @@ class Replay:
         observation, action, executed, following, reward, cost, terminal, _ = parts
         noise = np.stack([draw[1][update % BLOCK] for draw in draws], axis=1)
         tensors = (
-            normalised(observation, normalisation),
+            observation,
             action,
             executed,
-            normalised(following, normalisation),
+            following,
             reward[..., 0],
             cost[..., 0],
             terminal[..., 0],
@@ -181,10 +179,3 @@ class Replay:
                 self._draws.append((places, rng.standard_normal(shape, dtype=np.float32)))
             self._block = block
         return self._draws
-
-
-def normalised(x: NDArray[Any], normalisation: Sequence[Normalisation]) -> NDArray[np.float32]:
-    """(x - centre) / scale, (K, B, o), with each seed's own numbers."""
-    centre = np.array([n.observation_centre for n in normalisation], dtype=np.float32)[:, None]
-    scale = np.array([n.observation_scale for n in normalisation], dtype=np.float32)[:, None]
-    return np.asarray((x - centre) / scale, dtype=np.float32)

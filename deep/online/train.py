@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
+from torch import Tensor, nn
 from tqdm import tqdm
 
 from deep.checkpoint import load_checkpoint, save_checkpoint
@@ -39,7 +39,7 @@ from deep.online.gate import FinetunedGate
 from deep.online.learner import TaskLearner, TaskLosses
 from deep.online.noise import ActionNoise
 from deep.online.pretrained import build_gate
-from deep.online.replay import Arrival, Replay, normalised
+from deep.online.replay import Arrival, Replay
 from deep.online.results import (
     EPISODES_KEPT_APART,
     EVALUATIONS,
@@ -54,6 +54,7 @@ from deep.online.results import (
     task_policies,
     write_result,
 )
+from deep.online.scaling import Scaling
 from deep.pretrain import Learner, method_name
 from deep.pretrain.learner import Sizes
 from deep.run import read_run
@@ -114,7 +115,8 @@ class _Run:
         self.fleet = Fleet(config.task, config.seeds, config.copies)
         sizes = Sizes(self.fleet.observation_dim, self.fleet.action_dim)
         self.learner = build_task_learner(config, sizes)
-        self.gate, self.normalisation = build_gate(config, sizes)
+        self.gate = build_gate(config, sizes)
+        self.scaling: Scaling | None = None  # of the task policy; known after the start phase
         learners: list[TaskLearner | Learner] = [self.learner]
         if isinstance(self.gate, FinetunedGate):
             learners.append(self.gate.learner)
@@ -159,7 +161,7 @@ class _Run:
                 done = self.step * config.copies
                 if done % config.log_every == 0 or self.step == total:
                     self._log(done, losses)
-                if done % config.evaluate_every == 0 and self.normalisation:
+                if done % config.evaluate_every == 0 and self.scaling:
                     self._log_evaluation(done)
                 if done % config.checkpoint_every == 0 or stop or self.step == total:
                     self._checked(done, latest)
@@ -186,8 +188,8 @@ class _Run:
         self.counts.add(arrived, intervened)
         self.step += 1
         steps = self.step * config.copies
-        if not self.normalisation and steps >= config.start_steps:
-            self.normalisation = self.replay.normalisation(self.step)
+        if self.scaling is None and steps >= config.start_steps:
+            self.scaling = Scaling(self.replay.normalisation(self.step))
         due = max(0, steps - config.start_steps) // config.steps_per_update
         losses = None
         while self.updates < due:
@@ -195,18 +197,28 @@ class _Run:
         return losses
 
     def _propose(self, noise: NDArray[np.float32]) -> NDArray[np.float32]:
-        s = torch.from_numpy(normalised(self.observation, self.normalisation))
         with torch.no_grad():
-            action, _ = self.learner.policy.sample(s, torch.from_numpy(noise))
+            action = self._act(torch.from_numpy(self.observation), torch.from_numpy(noise))
         return action.numpy()
 
+    def _act(self, observation: Tensor, noise: Tensor) -> Tensor:
+        """The task policy's actions in raw observations (K, B, o)."""
+        assert self.scaling is not None
+        action, _ = self.learner.policy.sample(self.scaling.observation(observation), noise)
+        return action
+
     def _update(self) -> TaskLosses:
-        batch = self.replay.sample(
-            self.updates, self.step, self.config.method.batch_size, self.normalisation
+        assert self.scaling is not None
+        config = self.config
+        raw = self.replay.sample(self.updates, self.step, config.method.batch_size)
+        self.learner.slow_down(self.step * config.copies / config.steps)
+        losses = self.learner.update(
+            raw._replace(
+                observation=self.scaling.observation(raw.observation),
+                next_observation=self.scaling.observation(raw.next_observation),
+            )
         )
-        self.learner.slow_down(self.step * self.config.copies / self.config.steps)
-        losses = self.learner.update(batch)
-        self.gate.learn(self.updates, batch, self.learner.policy)
+        self.gate.learn(self.updates, raw, self._act)
         self.updates += 1
         return losses
 
@@ -235,7 +247,8 @@ class _Run:
 
     def policies(self) -> tuple[TrainedPolicy, ...]:
         """Every seed's task policy of the moment."""
-        return task_policies(self.learner, self.normalisation, self.method)
+        assert self.scaling is not None
+        return task_policies(self.learner, self.scaling.normalisation, self.method)
 
     def finish(self) -> None:
         """Evaluate, write policies and filters, say what came out, forget the replay buffer."""
@@ -272,7 +285,7 @@ class _Run:
         rest = {
             "step": self.step,
             "counts": self.counts.to_json(),
-            "normalisation": [asdict(n) for n in self.normalisation],
+            "normalisation": self.scaling and [asdict(n) for n in self.scaling.normalisation],
             "environments": self.fleet.snapshot(),
         }
         path = self.folder / "checkpoint.safetensors"
@@ -284,7 +297,8 @@ class _Run:
         rest = json.loads(text)
         self.step = rest["step"]
         self.counts = Counts.from_json(rest["counts"])
-        self.normalisation = tuple(Normalisation.from_json(n) for n in rest["normalisation"])
+        if rest["normalisation"]:
+            self.scaling = Scaling([Normalisation.from_json(n) for n in rest["normalisation"]])
         if rest["environments"] is None:
             self.counts.running_return[:] = self.counts.running_length[:] = 0
             return self.fleet.reset()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import sys
 import timeit
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -179,8 +180,10 @@ def test_filters_that_make_no_sense_are_refused() -> None:
         Normalisation((0.0,), (0.0,), (0.0,), (1.0,))
 
 
-def test_onnx_computes_the_same(tmp_path: Path) -> None:
+@pytest.mark.parametrize("power", [(), (1.0, 3.0, 24.0)])
+def test_onnx_computes_the_same(power: tuple[float, ...], tmp_path: Path) -> None:
     safety = filters.random_filter()
+    safety = replace(safety, normalisation=replace(safety.normalisation, observation_power=power))
     some = np.random.default_rng(1).normal(size=(200, 5)) * 2
     median = float(np.median(safety.q(some[:, :3], some[:, 3:])))
     safety = safety.with_threshold(median)
@@ -199,6 +202,26 @@ def test_onnx_computes_the_same(tmp_path: Path) -> None:
         assert np.array_equal(intervened[clear], expected.intervened[clear])
         assert executed[clear] == pytest.approx(expected.executed[clear], abs=1e-4)
     assert 0 < expected.intervened.mean() < 1
+
+
+def test_closenesses_are_raised_to_their_powers() -> None:
+    sharp = replace(Normalisation.identity(3, 2), observation_power=(1.0, 3.0, 24.0))
+    seen = sharp.powered(np.array([[-0.5, 0.5, 0.9], [2.0, -0.5, -0.1]]))
+    expected = np.array([[-0.5, 0.125, 0.9**24], [2.0, 0.0, 0.0]])
+    assert seen == pytest.approx(expected, rel=1e-6)
+    plain = filters.random_filter()
+    safety = replace(plain, normalisation=sharp)
+    plain = replace(plain, normalisation=replace(sharp, observation_power=()))
+    rng = np.random.default_rng(0)
+    s, a = rng.uniform(-1, 1, (50, 3)), rng.uniform(-1, 1, (50, 2))
+    assert safety.q(s, a) == pytest.approx(plain.q(sharp.powered(s), a), rel=1e-6)
+    recovered = plain.recovery_action(sharp.powered(s))
+    assert safety.recovery_action(s) == pytest.approx(recovered, rel=1e-6)
+    with pytest.raises(ValueError, match="observation: 2 powers for 3 centres"):
+        replace(sharp, observation_power=(1.0, 2.0))
+    for power in (0.5, np.inf, np.nan):
+        with pytest.raises(ValueError, match="powers must be finite and at least 1"):
+            replace(sharp, observation_power=(1.0, 1.0, power))
 
 
 def test_the_cost_of_a_step_is_small() -> None:

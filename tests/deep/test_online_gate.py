@@ -17,9 +17,17 @@ from deep.online.gate import FinetunedGate, FrozenGate, OpenGate
 from deep.online.learner import TaskBatch
 from deep.online.pretrained import build_gate
 from deep.online.sac import Sac, SacSettings
-from deep.pretrain import DeaRrlSettings, Rrl, RrlMsdp, RrlMsdpSettings, RrlSettings
+from deep.online.scaling import Scaling
+from deep.pretrain import (
+    DeaRrlSettings,
+    Rrl,
+    RrlMsdp,
+    RrlMsdpSettings,
+    RrlSettings,
+    TaskPolicy,
+)
 from deep.pretrain.learner import Losses, Sizes
-from deep.run import load_data, read_run
+from deep.run import load_raw, read_run
 from deep.safety_filter import Normalisation, SafetyFilter
 from tests.deep.online_runs import SEEDS, TINY, blocking_filter, braking_filter, hand_made
 from tests.deep.online_runs import pretrained as short_pretraining
@@ -55,6 +63,12 @@ def batch(seeds: int = 2, size: int = 16) -> TaskBatch:
     )  # fmt: skip
 
 
+def task_policy(seeds: tuple[int, ...]) -> TaskPolicy:
+    """An untrained SAC's, on raw observations."""
+    policy = Sac(SacSettings(hidden=(8,)), SIZES, seeds).policy
+    return lambda s, noise: policy.sample(s, noise)[0]
+
+
 def observations(seeds: int = 2, n: int = 200) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(1)
     shape = (seeds, n)
@@ -69,7 +83,7 @@ def state(gate: FinetunedGate) -> dict[str, Tensor]:
 
 
 def finetuned(folder: Path, config: TrainConfig = TINY) -> FinetunedGate:
-    gate, _ = build_gate(replace(config, safety=folder), SIZES)
+    gate = build_gate(replace(config, safety=folder), SIZES)
     assert isinstance(gate, FinetunedGate)
     return gate
 
@@ -79,10 +93,10 @@ def rescaled(folder: Path) -> FinetunedGate:
     trained = finetuned(folder)
     s, a = observations()
     q = [f.q(s[k], a[k]) for k, f in enumerate(trained.filters())]
-    data, _ = load_data(read_run(folder))
+    data, _ = load_raw(read_run(folder))
     offline = Batches(data, SEEDS, 8, 0.5, torch.device("cpu"))
     limits = [float(np.median(part)) for part in q]
-    return FinetunedGate(trained.learner, limits, UNITS, 0.9, offline)
+    return FinetunedGate(trained.learner, limits, Scaling(UNITS), 0.9, offline)
 
 
 def test_an_open_gate_lets_everything_through() -> None:
@@ -92,9 +106,9 @@ def test_an_open_gate_lets_everything_through() -> None:
     assert gated.executed is a
     assert gated.intervened.shape == (2, 200)
     assert not gated.intervened.any()
-    gate.learn(0, batch(), Sac(SacSettings(hidden=(8,)), SIZES, SEEDS).policy)
+    gate.learn(0, batch(), task_policy(SEEDS))
     assert gate.filters() == ()
-    assert build_gate(TINY, SIZES)[1] == ()
+    assert type(build_gate(TINY, SIZES)) is OpenGate
 
 
 def test_frozen_filters_correct_each_its_own_seed() -> None:
@@ -132,7 +146,7 @@ def test_a_critic_that_is_no_number_or_at_the_threshold_lets_nothing_through(rrl
     with torch.no_grad():
         for parameter in gate.learner.critic.parameters():
             parameter.zero_()  # Q = 1/2 everywhere
-    at = FinetunedGate(gate.learner, (0.5, 0.50001), UNITS, 0.9, gate._offline)
+    at = FinetunedGate(gate.learner, (0.5, 0.50001), Scaling(UNITS), 0.9, gate._offline)
     assert at.correct(s, a).intervened.mean(axis=1).tolist() == [1, 0]
     with torch.no_grad():
         gate.learner.critic.mlp.biases[-1][0] = torch.nan
@@ -151,28 +165,41 @@ def test_rrl_learns_from_executed_actions_half_of_them_offline(
 
     monkeypatch.setattr(gate.learner, "update", spy)
     online = batch()
-    policy = Sac(SacSettings(hidden=(8,)), SIZES, SEEDS).policy
+    policy = task_policy(SEEDS)
     gate.learn(7, online, policy)
     offline = gate._offline.get(7)
     centre, scale = torch.tensor([[[0.2]], [[-0.1]]]), torch.tensor([[[0.5]], [[2.0]]])
-    expected = {
-        "observation": online.observation,
-        "action": (online.executed - centre) / scale,
-        "next_observation": online.next_observation,
-        "cost": online.cost,
-        "terminal": online.terminal,
-        "noise": online.noise,
-        "next_noise": online.next_noise,
-    }
-    for name, column in expected.items():
-        mixed = getattr(seen[0], name)
+    scaling = Scaling(UNITS)
+    for name, given in {"action": "executed"}.items() | {
+        (name, name) for name in ("cost", "terminal", "noise", "next_noise")
+    }:
+        mixed, column = getattr(seen[0], name), getattr(online, given)
+        old = getattr(offline, name)
+        if name == "action":
+            column, old = (column - centre) / scale, (old - centre) / scale
         assert mixed.shape[:2] == (2, 16)
-        assert mixed[:, :8].equal(getattr(offline, name)), name
+        assert torch.allclose(mixed[:, :8], old, atol=1e-6), name
         assert torch.allclose(mixed[:, 8:], column[:, :8], atol=1e-6), name
+    for name in ("observation", "next_observation"):
+        raw = torch.cat([getattr(offline, name), getattr(online, name)[:, :8]], dim=1)
+        assert torch.allclose(getattr(seen[0], name), scaling.observation(raw), atol=1e-6), name
+    # RRL asks about its own batch's next states; the task policy sees them raw.
     assert isinstance(gate.learner, Rrl)
-    proposed = gate.learner.task_policy(online.observation, online.noise)
-    action, _ = policy.sample(online.observation, online.noise)
-    assert torch.allclose(proposed, (action - centre) / scale, atol=1e-6)
+    following = torch.cat([offline.next_observation, online.next_observation[:, :8]], dim=1)
+    noise = torch.cat([offline.next_noise, online.next_noise[:, :8]], dim=1)
+    proposed = gate.learner.task_policy(seen[0].next_observation, noise)
+    assert torch.allclose(proposed, (policy(following, noise) - centre) / scale, atol=1e-6)
+
+
+def test_closenesses_are_sharpened_as_in_the_filters() -> None:
+    sharp = tuple(replace(n, observation_power=(1.0, 8.0)) for n in UNITS)
+    raw = np.array([[[-0.5, 0.9], [0.3, -0.1]]] * 2, dtype=np.float32)
+    found = Scaling(sharp).observation(torch.from_numpy(raw)).numpy()
+    for k, n in enumerate(sharp):
+        powered = n.powered(raw[k])
+        assert powered == pytest.approx(np.array([[-0.5, 0.9**8], [0.3, 0.0]]), rel=1e-5)
+        expected = (powered - np.array(n.observation_centre)) / np.array(n.observation_scale)
+        assert found[k] == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize("settings", [RrlSettings(**NETS), RrlMsdpSettings(**NETS)])
@@ -183,7 +210,7 @@ def test_finetuning_changes_critic_and_recovery_and_the_filters_are_copies(
     assert isinstance(gate.learner, Rrl | RrlMsdp)
     before = gate.filters()
     kept = [layer[0].copy() for layer in (*before[1].critic, *before[1].recovery)]
-    gate.learn(0, batch(), Sac(SacSettings(hidden=(8,)), SIZES, SEEDS).policy)
+    gate.learn(0, batch(), task_policy(SEEDS))
     after = gate.filters()
     for old, new, copy in zip(
         (*before[1].critic, *before[1].recovery),
@@ -202,16 +229,15 @@ def test_the_gates_of_a_pretraining_run_begin_with_what_it_learned(
     rrl: Path, dea_rrl: Path
 ) -> None:
     for folder, kind in ((rrl, FinetunedGate), (dea_rrl, FrozenGate)):
-        gate, units = build_gate(replace(TINY, safety=folder), SIZES)
+        gate = build_gate(replace(TINY, safety=folder), SIZES)
         assert type(gate) is kind
         for k, seed in enumerate(SEEDS):
             path = folder / "filters" / f"seed{seed}.safetensors"
             gate.filters()[k].save(folder / "again.safetensors")
             assert (folder / "again.safetensors").read_bytes() == path.read_bytes()
-            assert units[k] == SafetyFilter.load(path).normalisation
-    frozen = build_gate(replace(TINY, safety=rrl, finetune=False), SIZES)[0]
+    frozen = build_gate(replace(TINY, safety=rrl, finetune=False), SIZES)
     assert type(frozen) is FrozenGate
-    assert type(build_gate(replace(TINY, safety=dea_rrl, finetune=True), SIZES)[0]) is FinetunedGate
+    assert type(build_gate(replace(TINY, safety=dea_rrl, finetune=True), SIZES)) is FinetunedGate
 
 
 def test_seeds_can_use_other_seeds_filters_and_thresholds(rrl: Path) -> None:
@@ -220,7 +246,7 @@ def test_seeds_can_use_other_seeds_filters_and_thresholds(rrl: Path) -> None:
     )
     stored = {s: SafetyFilter.load(rrl / "filters" / f"seed{s}.safetensors") for s in SEEDS}
     for finetune in (True, False):
-        gate, _ = build_gate(replace(config, finetune=finetune), SIZES)
+        gate = build_gate(replace(config, finetune=finetune), SIZES)
         assert [f.threshold for f in gate.filters()] == [0.1, 0.2, 0.3]
         for found, seed in zip(gate.filters(), (3, 0, 3), strict=True):
             for (w, b), (v, c) in zip(found.critic, stored[seed].critic, strict=True):
@@ -230,7 +256,7 @@ def test_seeds_can_use_other_seeds_filters_and_thresholds(rrl: Path) -> None:
     gate = finetuned(rrl, replace(config, threshold=(0.4,)))
     assert [f.threshold for f in gate.filters()] == [0.4] * 3
     assert gate.learner.seeds == (10, 11, 12)
-    data, _ = load_data(read_run(rrl))
+    data, _ = load_raw(read_run(rrl))
     expected = Batches([data[1], data[0], data[1]], (10, 11, 12), 8, 0.5, torch.device("cpu"))
     for found_column, column in zip(gate._offline.get(3), expected.get(3), strict=True):
         assert found_column.equal(column)
@@ -238,7 +264,7 @@ def test_seeds_can_use_other_seeds_filters_and_thresholds(rrl: Path) -> None:
 
 def test_a_seed_is_finetuned_as_if_alone(rrl: Path) -> None:
     both, alone = finetuned(rrl), finetuned(rrl, replace(TINY, seeds=(3,)))
-    policies = [Sac(SacSettings(hidden=(8,)), SIZES, seeds).policy for seeds in (SEEDS, (3,))]
+    policies = [task_policy(seeds) for seeds in (SEEDS, (3,))]
     for update in range(5):
         both.learn(update, batch(), policies[0])
         alone.learn(update, TaskBatch(*(part[1:] for part in batch())), policies[1])

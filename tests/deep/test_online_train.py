@@ -253,15 +253,22 @@ def test_the_saved_policy_is_the_mean_of_the_learned_one(
         assert policy.act(start[k]) == pytest.approx(mean[k].numpy(), abs=1e-5)
 
 
-def test_behind_filters_the_policy_sees_observations_as_they_do(tmp_path: Path) -> None:
+def test_behind_filters_the_policy_has_a_normalisation_of_its_own(tmp_path: Path) -> None:
     from tests.deep.filters import linear_filter
 
     units = Normalisation((0.2, -0.3), (0.5, 2.0), (0.0,), (1.0,))
     safety = linear_filter([-4.0, 4.0], 2.0, -1.0, -5.0, normalisation=units)
     folder = hand_made(tmp_path / "safety", {0: safety})
     train(replace(TINY, seeds=(0,), safety=folder), tmp_path / "run", quiet=True)
+    kept = SafetyFilter.load(tmp_path / "run" / "filters" / "seed0.safetensors")
+    assert kept.normalisation == units
     path = tmp_path / "run" / "policies" / "seed0.safetensors"
-    assert TrainedPolicy.load(path).normalisation == units
+    own = TrainedPolicy.load(path).normalisation
+    assert own != units
+    # Those of its start phase: an uncorrected run's start is another, a second run's the same.
+    train(replace(TINY, seeds=(0,), safety=folder), tmp_path / "again", quiet=True)
+    again = TrainedPolicy.load(tmp_path / "again" / "policies" / "seed0.safetensors")
+    assert again.normalisation == own
 
 
 def assert_same_run(both: Path, alone: Path, seed: int) -> None:

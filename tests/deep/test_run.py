@@ -23,6 +23,7 @@ from deep.checkpoint import load_checkpoint, save_checkpoint
 from deep.config import Mix, PretrainConfig, config_from_json, config_to_json, resolve
 from deep.data import Transitions
 from deep.formats import read_hdf5, write_hdf5
+from deep.normalise import normalisation_of, normalise
 from deep.pretrain import (
     SETTINGS,
     DeaRrlAnnealedSettings,
@@ -33,7 +34,7 @@ from deep.pretrain import (
 )
 from deep.pretrain.health import Status, check_critics, check_losses
 from deep.pretrain.learner import Losses
-from deep.run import DATA_STREAM, normalisation_of, pretrain, read_run
+from deep.run import DATA_STREAM, pretrain, read_run
 from deep.safety_filter import Normalisation, SafetyFilter
 from deep.tasks import Brake, make_task
 from deep.thresholds import discount_from_horizon, low_threshold, paper_threshold
@@ -490,3 +491,29 @@ def test_pretraining_from_the_command_line(
     printed = capsys.readouterr().out
     assert "seed0.safetensors: seed 0: sound" in printed
     assert SafetyFilter.load(tmp_path / "run" / "filters" / "seed0.safetensors").seed == 0
+
+
+def test_closenesses_are_sharpened_before_they_are_normalised(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    seen = np.column_stack(
+        [rng.uniform(0, 1, 500), rng.normal(size=500), np.zeros(500), rng.uniform(0, 1.1, 500)]
+    ).astype(np.float32)
+    data = transitions(seen)
+    found = normalisation_of(data, 8.0)
+    assert found.observation_power == (8.0, 1.0, 1.0, 1.0)  # only what stays in [0, 1] and varies
+    assert found.observation_centre[0] == pytest.approx((seen[:, 0] ** 8).mean(), rel=1e-5)
+    assert found.observation_scale[0] == pytest.approx((seen[:, 0] ** 8).std(), rel=1e-4)
+    assert normalisation_of(data).observation_power == ()
+    own = normalise(data, found).next_observations[:, 0]
+    expected = (np.maximum(data.next_observations[:, 0], 0) ** 8 - found.observation_centre[0]) / (
+        found.observation_scale[0]
+    )
+    assert own == pytest.approx(expected, rel=1e-4, abs=1e-6)
+    write_hdf5(data, tmp_path / "data.hdf5")
+    config = replace(
+        TINY, task=None, data=tmp_path / "data.hdf5", horizon=5, sharpness=8.0, updates=2
+    )
+    safety = pretrain(config, tmp_path / "run", quiet=True).filters[0]
+    assert safety.normalisation.observation_power == (8.0, 1.0, 1.0, 1.0)
+    with pytest.raises(ValueError, match="sharpness must be at least 1, not 0.5"):
+        replace(config, sharpness=0.5)

@@ -1,0 +1,89 @@
+"""How offline data become the networks' inputs: powers, means and standard deviations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deep.data import Transitions
+from deep.safety_filter import Normalisation
+
+__all__ = ["centre_and_scale", "normalisation_of", "normalise"]
+
+CONSTANT = 1e-6
+"""A coordinate that deviates by less, relative to its size or 1, is constant up to rounding."""
+ROWS = 1 << 14
+
+
+def normalisation_of(data: Transitions, sharpness: float = 1.0) -> Normalisation:
+    """Observations to mean 0 and standard deviation 1, actions by their range to [-1, 1].
+
+    Coordinates that stay in [0, 1], closenesses, are first raised to the power ``sharpness``.
+
+    Sensors have spikes that a range would be made of: with it an accelerometer's usual
+    values would fill a small part of [-1, 1], the smaller the longer it was recorded. A
+    coordinate that is constant up to rounding is only centred.
+    """
+    power = _powers(data, sharpness)
+    identity = Normalisation.identity(data.observations.shape[1], data.actions.shape[1])
+    seen = replace(identity, observation_power=power).powered(data.observations)
+    centre, scale = centre_and_scale(seen)
+    low, high = (data.actions.min(axis=0).astype(float), data.actions.max(axis=0).astype(float))
+    half = (high - low) / 2
+    return Normalisation(
+        centre,
+        scale,
+        tuple(((low + high) / 2).tolist()),
+        tuple(np.where(half > 0, half, 1.0).tolist()),
+        power,
+    )
+
+
+def _powers(data: Transitions, sharpness: float) -> tuple[float, ...]:
+    """``sharpness`` for coordinates in [0, 1] that vary, 1 for others; () if it is 1."""
+    if sharpness == 1:
+        return ()
+    low, high = data.observations.min(axis=0), data.observations.max(axis=0)
+    closeness = (low >= 0) & (high <= 1) & (low < high)
+    return tuple(np.where(closeness, sharpness, 1.0).tolist())
+
+
+def centre_and_scale(x: NDArray[np.float32]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Of observations (n, o): mean, and standard deviation or 1 where they do not vary."""
+    mean, deviation = _moments(x)
+    constant = deviation <= CONSTANT * np.maximum(1, np.abs(mean))
+    return tuple(mean.tolist()), tuple(np.where(constant, 1.0, deviation).tolist())
+
+
+def _moments(x: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean and standard deviation of each column, in float64 without a copy in it."""
+    mean = x.mean(axis=0, dtype=np.float64)
+    blocks = (x[first : first + ROWS] for first in range(0, len(x), ROWS))
+    squares = sum(((block - mean) ** 2).sum(axis=0) for block in blocks)
+    return mean, np.sqrt(squares / len(x))
+
+
+def normalise(data: Transitions, n: Normalisation) -> Transitions:
+    """The data with observations and actions as networks see them."""
+    return replace(
+        data,
+        observations=_observed(data.observations, n),
+        next_observations=_observed(data.next_observations, n),
+        actions=_scaled(data.actions, n.action_centre, n.action_scale),
+    )
+
+
+def _observed(x: NDArray[np.float32], n: Normalisation) -> NDArray[np.float32]:
+    return _scaled(n.powered(x), n.observation_centre, n.observation_scale)
+
+
+def _scaled(
+    x: NDArray[np.float32], centre: tuple[float, ...], scale: tuple[float, ...]
+) -> NDArray[np.float32]:
+    """(x - centre) / scale as one new read-only array."""
+    scaled = x - np.array(centre, dtype=np.float32)
+    scaled /= np.array(scale, dtype=np.float32)
+    scaled.flags.writeable = False
+    return scaled
