@@ -18,7 +18,10 @@ from dead_ends.io.atomic import atomic_path
 
 Result = TypeVar("Result")
 RESULTS = Path(__file__).parent / "results"
-PACKAGES = ("numpy", "scipy", "numba", "stormpy", "quantecon", "hj-reachability", "jax")
+PACKAGES = (
+    *("numpy", "scipy", "numba", "stormpy", "quantecon", "hj-reachability", "jax"),
+    *("torch", "stable-baselines3", "gymnasium", "mujoco"),
+)
 
 
 def best_time(call: Callable[[], Result], repeats: int = 3) -> tuple[float, Result]:
