@@ -24,6 +24,7 @@ from benchmarks.measure import save
 from benchmarks.sb3 import filled_sac
 from deep.online.replay import Arrival, Replay
 from deep.online.sac import Sac, SacSettings
+from deep.online.scaling import Scaling
 from deep.pretrain.learner import Sizes
 
 SIZES = Sizes(observation=60, action=2)
@@ -46,18 +47,23 @@ def their_updates(settings: SacSettings, replay: int = REPLAY) -> Updates:
 
 
 def our_updates(settings: SacSettings, seeds: int, folder: Path, replay: int = REPLAY) -> Updates:
-    """Those of a training run: sample, set the learning rate, update."""
+    """Those of a training run: sample, set the learning rate, scale, update."""
     learner = Sac(settings, SIZES, range(seeds))
     buffer = filled_replay(seeds, folder, replay)
     steps, done = buffer.capacity, 0
-    normalisation = buffer.normalisation(steps)
+    scaling = Scaling(buffer.normalisation(steps))
 
     def update(count: int) -> None:
         nonlocal done
         for _ in range(count):
-            batch = buffer.sample(done, steps, settings.batch_size, normalisation)
+            raw = buffer.sample(done, steps, settings.batch_size)
             learner.slow_down(0.0)
-            learner.update(batch)
+            learner.update(
+                raw._replace(
+                    observation=scaling.observation(raw.observation),
+                    next_observation=scaling.observation(raw.next_observation),
+                )
+            )
             done += 1
 
     return update

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +12,8 @@ import torch
 from benchmarks import learner, learning_curves
 from benchmarks.learning_curves import Course, figure, our_curves, their_curves, verdict
 from benchmarks.sb3 import Idle, filled_sac, stable_baselines3_sac
-from deep.online.sac import SacSettings
+from deep.online.sac import Sac, SacSettings
+from deep.pretrain.learner import Sizes
 
 TINY = SacSettings(hidden=(8,), batch_size=16, final_rate=1, reward_scale=1)
 
@@ -44,16 +44,13 @@ def test_a_rate_counts_the_updates_of_all_seeds(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_both_tools_really_update(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[torch.nn.Module] = []
+    made: list[Sac] = []
 
-    def kept(build: Callable[..., torch.nn.Module]) -> Callable[..., torch.nn.Module]:
-        def built(*arguments: object) -> torch.nn.Module:
-            made.append(build(*arguments))
-            return made[-1]
+    def kept(settings: SacSettings, sizes: Sizes, seeds: range) -> Sac:
+        made.append(Sac(settings, sizes, seeds))
+        return made[-1]
 
-        return built
-
-    monkeypatch.setattr(learner, "Sac", kept(learner.Sac))
+    monkeypatch.setattr(learner, "Sac", kept)
     updates = learner.our_updates(TINY, 2, tmp_path, replay=200)
     (ours,) = made
     before = [p.clone() for p in ours.parameters()]
@@ -80,8 +77,7 @@ def test_their_settings_are_ours() -> None:
     assert model.lr_schedule(1.0) == model.lr_schedule(0.01) == 1e-3
     assert model.ent_coef_tensor.item() == pytest.approx(0.1)
     assert [p.shape[0] for p in model.actor.latent_pi.parameters()] == [8, 8]
-    for wrong in ({"final_rate": 0.5}, {"reward_scale": 100.0}):
-        settings = replace(TINY, **wrong)
+    for settings in (replace(TINY, final_rate=0.5), replace(TINY, reward_scale=100.0)):
         with pytest.raises(ValueError, match="^only a constant learning rate and unscaled rewards"):
             stable_baselines3_sac(Idle(3, 1), settings, seed=0, start_steps=7, replay=50)
 
