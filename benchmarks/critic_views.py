@@ -1,0 +1,163 @@
+"""What a safety critic needs to see: data and view, one varied at a time, on PointGoal1.
+
+    python -m benchmarks.critic_views runs/study
+
+takes the SAC run and the offline data of a study, pretrains DEA-RRL (the paper's form) and
+DEA-RRL (annealed) once each on
+
+* the study's data and view: 400 steps before violations, lidars to the 24th power,
+* the paper's 100 steps before violations,
+* lidars as they are,
+
+and puts SAC behind each filter for 200 whole episodes at several thresholds. Beside them
+stands a limit that needs the simulator: an action is let through if after it one of nine
+simple recoveries (brake, or creep ahead or back; straight, or turning to either side) goes on
+for 80 steps without a violation. The exact dead-end boundary would let at least that through.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from benchmarks.measure import RESULTS, facts
+from dead_ends.io.atomic import atomic_path
+from deep.config import PretrainConfig
+from deep.formats import write_hdf5
+from deep.online.episodes import run_episodes
+from deep.online.offline_data import offline_data
+from deep.pretrain import AnySettings, DeaRrlAnnealedSettings, DeaRrlSettings
+from deep.run import pretrain
+from deep.task_policy import TrainedPolicy
+from deep.tasks import PointGoal1
+from deep.tasks.task import Bools, Floats
+
+TASK = "point-goal1"
+SEED = 100
+EPISODES = 200
+VARIANTS = {
+    "400 steps, sharpened": (400, 24.0),
+    "100 steps, sharpened": (100, 24.0),
+    "400 steps, lidars as they are": (400, 1.0),
+}
+FORMS: dict[str, tuple[AnySettings, tuple[float, ...]]] = {
+    "dea-rrl": (
+        DeaRrlSettings(learning_rate=1e-3, batch_size=128, polyak=0.1),
+        (0.3, 0.5, 0.7, 0.8),
+    ),
+    "dea-rrl-annealed": (
+        DeaRrlAnnealedSettings(learning_rate=1e-3, batch_size=128, final_expectile=0.1),
+        (0.05, 0.1, 0.2, 0.3),
+    ),
+}
+HORIZON, UPDATES = 20, 15_000
+RECOVERIES = np.array([(v, turn) for v in (0.0, -0.3, 0.3) for turn in (0.0, -1.0, 1.0)])
+"""Speed along the heading in m/s, and steering."""
+RECOVERY_STEPS = 80
+GAIN = 8.0
+
+
+def recover(state: Floats, recovery: Floats) -> Floats:
+    """Actions towards the speed and with the steering in the rows of ``recovery``."""
+    along = np.cos(state[:, 2]) * state[:, 3] + np.sin(state[:, 2]) * state[:, 4]
+    return np.column_stack([np.clip(GAIN * (recovery[:, 0] - along), -1, 1), recovery[:, 1]])
+
+
+def survives(task: PointGoal1, state: Floats, recovery: Floats) -> Bools:
+    """Which states go on with this recovery for 80 steps without a violation."""
+    rng = np.random.default_rng(0)  # goals are drawn from it, which no hazard depends on
+    alive = ~task.violates(state)
+    chosen = np.tile(recovery, (len(state), 1))
+    for _ in range(RECOVERY_STEPS):
+        step = task.step(state, recover(state, chosen), rng)
+        state = step.next_state
+        alive &= ~step.violation
+    return alive
+
+
+def simulated(policy: TrainedPolicy, episodes: int) -> dict[str, float]:
+    """ACR, AVR and ARR of the policy behind the simulator's own check."""
+    task, rng = PointGoal1(), np.random.default_rng(SEED)
+    state = task.reset(rng, episodes)
+    returns, alive, plan = (
+        np.zeros(episodes),
+        np.ones(episodes, dtype=np.bool_),
+        np.zeros((episodes, 2)),
+    )
+    replaced = steps = 0
+    for _ in range(task.time_limit):
+        action = policy.act(task.observe(state)).astype(np.float64)
+        after = task.step(state, action, np.random.default_rng(0))
+        safe, kept = np.zeros(episodes, dtype=np.bool_), np.zeros(episodes, dtype=np.bool_)
+        for recovery in RECOVERIES:
+            safe |= ~after.violation & survives(task, after.next_state, recovery)
+            here = ~kept & survives(task, state, recovery)
+            plan[here] = recovery
+            kept |= here
+        executed = np.where(safe[:, None], action, recover(state, plan))
+        replaced += int((~safe & alive).sum())
+        steps += int(alive.sum())
+        step = task.step(state, executed, rng)
+        returns[alive] += step.reward[alive]
+        alive &= ~step.violation
+        state = step.next_state
+    return {"acr": returns.mean(), "avr": 1 - alive.mean(), "arr": replaced / steps}
+
+
+def scored(study: Path, form: str, variant: str, work: Path) -> list[dict[str, Any]]:
+    """One pretraining and its filters' metrics, a row a threshold."""
+    settings, thresholds = FORMS[form]
+    keep, sharpness = VARIANTS[variant]
+    data = work / f"{keep}.hdf5"
+    sac = study / TASK / "data" / "sac"
+    if not data.exists():
+        rng = np.random.default_rng(SEED)
+        write_hdf5(offline_data(TASK, sac, SEED, 400_000, keep, rng), data)
+    config = PretrainConfig(
+        data=data, method=settings, seeds=(SEED,), updates=UPDATES, horizon=HORIZON,
+        sharpness=sharpness,
+    )  # fmt: skip
+    name = f"{form}-{keep}-{sharpness:g}"
+    safety = pretrain(config, work / name).filters[0]
+    policy = TrainedPolicy.load(sac / "policies" / f"seed{SEED}.safetensors")
+    rows = []
+    for threshold in thresholds:
+        found = run_episodes(TASK, policy.act, safety.with_threshold(threshold), EPISODES, SEED)
+        metrics = {"acr": found.acr, "avr": found.avr, "arr": found.arr}
+        rows.append({"form": form, "variant": variant, "threshold": threshold, **metrics})
+    return rows
+
+
+def main(study: Path) -> None:
+    """Run everything and write ``results/critic_views.json``."""
+    torch.set_num_threads(1)
+    work = study / TASK / "views"
+    work.mkdir(parents=True, exist_ok=True)
+    policy = TrainedPolicy.load(
+        study / TASK / "data" / "sac" / "policies" / f"seed{SEED}.safetensors"
+    )
+    alone = run_episodes(TASK, policy.act, None, EPISODES, SEED)
+    rows: list[dict[str, Any]] = [
+        {"form": "none", "acr": alone.acr, "avr": alone.avr, "arr": 0.0},
+        {"form": "simulated recoveries", **simulated(policy, EPISODES)},
+    ]
+    for variant in VARIANTS:
+        for form in FORMS:
+            rows += scored(study, form, variant, work)
+    content = {
+        "task": TASK, "seed": SEED, "episodes": EPISODES, "updates": UPDATES, "horizon": HORIZON,
+        "rows": rows, "made with": facts(),
+    }  # fmt: skip
+    with atomic_path(RESULTS / "critic_views.json") as temporary:
+        temporary.write_text(json.dumps(content, indent=2) + "\n")
+    for row in rows:
+        print(row)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
