@@ -3,7 +3,9 @@
 The same settings, steps and seeds' numbers on two standard tasks; every so many steps the mean
 action is evaluated on a few whole episodes, the same ones for both. The score of a seed is the
 mean of its evaluations, the area under its curve. The curves count as equal if the difference of
-the mean scores has a 95% bootstrap interval (over seeds, percentile) that contains 0.
+the mean scores has a 95% bootstrap interval (over seeds, percentile) that contains 0. Beside it
+stand two rank tests: Mann-Whitney's, and Wilcoxon's of seeds that were evaluated on the same
+episodes, which takes out what the episodes do to both.
 Writes ``results/learning_curves.json`` and ``results/learning_curves.png``.
 """
 
@@ -22,7 +24,7 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.stats import mannwhitneyu
+from scipy.stats import mannwhitneyu, wilcoxon
 from stable_baselines3 import SAC
 
 from benchmarks.measure import RESULTS, save
@@ -143,6 +145,7 @@ def verdict(ours: Curves, theirs: Curves, rng: np.random.Generator) -> dict[str,
         "difference": float(first.mean() - second.mean()),
         "interval": [float(low), float(high)],
         "mann_whitney_p": float(mannwhitneyu(first, second).pvalue),
+        "wilcoxon_p": float(wilcoxon(first, second).pvalue),
         "equal": bool(low <= 0 <= high),
     }
 
@@ -189,17 +192,18 @@ def table(rows: list[dict[str, Any]]) -> list[str]:
     """Markdown: one line a task."""
     lines = [
         "| task | steps | score: ours | Stable-Baselines3 | difference, 95% interval "
-        "| Mann-Whitney p | last return: ours | Stable-Baselines3 "
+        "| Mann-Whitney p | Wilcoxon p | last return: ours | Stable-Baselines3 "
         "| core-seconds: ours | Stable-Baselines3 |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         low, high = row["interval"]
         last = [np.array(row[tool])[:, -1].mean() for tool in TOOLS]
         lines.append(
-            f"| {row['environment']} | {row['steps']:,} | {row['our_score']:.0f} "
-            f"| {row['their_score']:.0f} | {row['difference']:+.0f} ({low:+.0f} to {high:+.0f}) "
-            f"| {row['mann_whitney_p']:.2f} | {last[0]:.0f} | {last[1]:.0f} "
+            f"| {row['environment']} | {row['steps']:,} | {row['our_score']:.3g} "
+            f"| {row['their_score']:.3g} | {row['difference']:+.3g} ({low:+.3g} to {high:+.3g}) "
+            f"| {row['mann_whitney_p']:.2f} | {row['wilcoxon_p']:.2f} "
+            f"| {last[0]:.3g} | {last[1]:.3g} "
             f"| {row['our_seconds']:.0f} | {row['their_seconds']:.0f} |"
         )
     return lines

@@ -98,6 +98,10 @@ def test_curves_that_differ_less_than_their_seeds_are_equal() -> None:
     assert other["difference"] == pytest.approx(30)
     assert other["interval"] == pytest.approx([30 + low, 30 + high], rel=0.03)
     assert other["mann_whitney_p"] < 0.01
+    # Wilcoxon's pairs the seeds: a small gain of every one of eight is 2 / 2**8.
+    gained = verdict(curves + 0.1, curves, rng)
+    assert gained["equal"]
+    assert gained["wilcoxon_p"] == pytest.approx(2 / 2**8)
 
 
 def test_both_tools_are_evaluated_at_the_same_steps(
