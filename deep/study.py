@@ -195,7 +195,8 @@ class _Jobs:
             part, ("data/offline.hdf5",), "pretrain", "--data",
             str(self.folder / "data/offline.hdf5"), "--out", str(self.folder / part),
             "--seeds", *map(str, seeds), "--horizon", str(self.config.horizon),
-            "--sharpness", str(self.config.sharpness), "--updates", str(self.config.pretrain_updates), form, *PRETRAIN[form],
+            "--sharpness", str(self.config.sharpness),
+            "--updates", str(self.config.pretrain_updates), form, *PRETRAIN[form],
             result=f"filters/seed{seeds[-1]}.safetensors",
         )  # fmt: skip
 
