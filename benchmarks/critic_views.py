@@ -40,6 +40,7 @@ from deep.tasks.task import Bools, Floats
 TASK = "point-goal1"
 SEED = 100
 EPISODES = 200
+SIMULATED_EPISODES = 50  # 18 rollouts of 80 steps at every step
 VARIANTS = {
     "400 steps, sharpened": (400, 24.0),
     "100 steps, sharpened": (100, 24.0),
@@ -106,7 +107,11 @@ def simulated(policy: TrainedPolicy, episodes: int) -> dict[str, float]:
         returns[alive] += step.reward[alive]
         alive &= ~step.violation
         state = step.next_state
-    return {"acr": returns.mean(), "avr": 1 - alive.mean(), "arr": replaced / steps}
+    return {
+        "acr": float(returns.mean()),
+        "avr": 1 - float(alive.mean()),
+        "arr": replaced / steps,
+    }
 
 
 def scored(study: Path, form: str, variant: str, work: Path) -> list[dict[str, Any]]:
@@ -144,13 +149,14 @@ def main(study: Path) -> None:
     alone = run_episodes(TASK, policy.act, None, EPISODES, SEED)
     rows: list[dict[str, Any]] = [
         {"form": "none", "acr": alone.acr, "avr": alone.avr, "arr": 0.0},
-        {"form": "simulated recoveries", **simulated(policy, EPISODES)},
+        {"form": "simulated recoveries", **simulated(policy, SIMULATED_EPISODES)},
     ]
     for variant in VARIANTS:
         for form in FORMS:
             rows += scored(study, form, variant, work)
     content = {
-        "task": TASK, "seed": SEED, "episodes": EPISODES, "updates": UPDATES, "horizon": HORIZON,
+        "task": TASK, "seed": SEED, "episodes": EPISODES,
+        "simulated_episodes": SIMULATED_EPISODES, "updates": UPDATES, "horizon": HORIZON,
         "rows": rows, "made with": facts(),
     }  # fmt: skip
     with atomic_path(RESULTS / "critic_views.json") as temporary:
