@@ -185,7 +185,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     torch.set_num_threads(1)
     try:
         parse(arguments).run()
-    except (ValueError, FloatingPointError) as error:
+    except (ValueError, FloatingPointError, OSError) as error:
         print(f"deep: {error}", file=sys.stderr)
         return 2
     except JobsFailedError as failed:

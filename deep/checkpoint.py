@@ -51,8 +51,10 @@ def load_checkpoint(learner: Trained, path: str | os.PathLike[str]) -> tuple[int
     """Put the state back into a learner of the same settings; the updates done, the rest.
 
     Raises:
-        ValueError: if the file is broken or belongs to other settings.
+        ValueError: if the file is missing, broken, or belongs to other settings.
     """
+    if not Path(path).is_file():
+        raise ValueError(f"{path}: there is no such file")
     try:
         with safe_open(Path(path), framework="pt") as file:
             metadata = file.metadata() or {}

@@ -1,9 +1,10 @@
-"""What run folders have in common: who made them from what, their logs, a polite Ctrl-C."""
+"""What run folders have in common: who made them from what, their files, a polite Ctrl-C."""
 
 from __future__ import annotations
 
 import csv
 import hashlib
+import json
 import os
 import platform
 import signal
@@ -17,7 +18,7 @@ from typing import Any
 
 from dead_ends.io.atomic import atomic_path
 
-__all__ = ["CsvLog", "InterruptAfterUpdate", "fingerprint", "versions"]
+__all__ = ["CsvLog", "InterruptAfterUpdate", "fingerprint", "read_object", "versions"]
 
 
 def versions() -> dict[str, str]:
@@ -28,16 +29,37 @@ def versions() -> dict[str, str]:
 
 
 def _git_revision() -> str:
-    """The revision of the source tree, with a + if it has changes; "" outside one."""
+    """The revision of the source tree, with a + if it has changes; "" if git knows none."""
     root = Path(__file__).parent
-    run = subprocess.run(
-        ["git", "describe", "--always", "--abbrev=40", "--dirty=+", "--exclude=*"],
-        cwd=root,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    try:
+        run = subprocess.run(
+            ["git", "describe", "--always", "--abbrev=40", "--dirty=+", "--exclude=*"],
+            cwd=root,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    except FileNotFoundError:
+        return ""
     return run.stdout.strip()
+
+
+def read_object(path: Path, *entries: str) -> dict[str, Any]:
+    """The JSON object in a file, which has at least these entries.
+
+    Raises:
+        ValueError: if it cannot be read, is none, or lacks an entry.
+    """
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path}: not a readable JSON file ({error})") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path}: expected a JSON object")
+    missing = [entry for entry in entries if entry not in content]
+    if missing:
+        raise ValueError(f"{path}: {missing[0]!r} is missing")
+    return content
 
 
 def fingerprint(path: Path | None) -> str | None:

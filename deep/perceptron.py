@@ -56,12 +56,24 @@ def check_layers(part: str, layers: Layers, inputs: int, outputs: int) -> None:
     """
     if not layers:
         raise ValueError(f"{part}: there are no layers")
+    for i, (weights, biases) in enumerate(layers):
+        if weights.ndim not in (2, 3):
+            raise ValueError(f"{part}: the weights of layer {i} have shape {weights.shape}")
+        outs = weights.shape[-1]
+        if biases.shape != ((outs,) if weights.ndim == 2 else (len(weights), 1, outs)):
+            raise ValueError(
+                f"{part}: layer {i} has weights of shape {weights.shape} and biases of shape "
+                f"{biases.shape}"
+            )
     if (layers[0][0].shape[-2], layers[-1][0].shape[-1]) != (inputs, outputs):
         raise ValueError(
             f"{part}: the network maps R^{layers[0][0].shape[-2]} to R^{layers[-1][0].shape[-1]}, "
             f"expected R^{inputs} to R^{outputs}"
         )
-    if any(a[0].shape[-1] != b[0].shape[-2] for a, b in pairwise(layers)):
+    if any(
+        a.shape[-1] != b.shape[-2] or a.shape[:-2] != b.shape[:-2]
+        for (a, _), (b, _) in pairwise(layers)
+    ):
         raise ValueError(f"{part}: the layers do not fit each other")
     if not all(np.isfinite(array).all() for layer in layers for array in layer):
         raise ValueError(f"{part}: the weights hold a NaN or an infinity")

@@ -22,7 +22,7 @@ from deep.batches import Batches
 from deep.checkpoint import load_checkpoint, save_checkpoint
 from deep.config import PretrainConfig, config_from_json, config_to_json, resolve
 from deep.data import Transitions
-from deep.folder import CsvLog, InterruptAfterUpdate, fingerprint, versions
+from deep.folder import CsvLog, InterruptAfterUpdate, fingerprint, read_object, versions
 from deep.formats import read_hdf5
 from deep.normalise import normalisation_of, normalise
 from deep.pretrain import Learner, Sizes, build_learner
@@ -65,25 +65,32 @@ def task_horizon(task: Task) -> int | None:
     return task.horizon if isinstance(task, Brake | DoubleIntegrator) else None
 
 
-def open_run(config: PretrainConfig, folder: Path) -> PretrainConfig:
-    """Begin a run in a new folder, or find the same one in an old folder.
+def check_run(config: PretrainConfig, folder: Path) -> PretrainConfig:
+    """The run's configuration with every number filled in; nothing is written.
 
     Raises:
         ValueError: if the folder holds another run.
     """
     task = None if config.task is None else make_task(config.task)
     resolved = resolve(config, None if task is None else task_horizon(task))
-    plain = config_to_json(resolved)
+    same = config_from_json(config_to_json(resolved))
+    if (folder / "config.json").exists() and read_run(folder) != same:
+        raise ValueError(f"{folder} holds a run with another configuration")
+    return resolved
+
+
+def open_run(config: PretrainConfig, folder: Path) -> PretrainConfig:
+    """Begin a run in a new folder, or find the same one in an old folder, see
+    :func:`check_run`.
+    """
+    resolved = check_run(config, folder)
     path = folder / "config.json"
-    if path.exists():
-        if read_run(folder) != config_from_json(plain):
-            raise ValueError(f"{folder} holds a run with another configuration")
-        return resolved
-    data = fingerprint(resolved.data)
-    folder.mkdir(parents=True, exist_ok=True)
-    content = {"run": plain, "made with": versions(), "data": data}
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=2) + "\n")
+    if not path.exists():
+        data = fingerprint(resolved.data)
+        folder.mkdir(parents=True, exist_ok=True)
+        content = {"run": config_to_json(resolved), "made with": versions(), "data": data}
+        with atomic_path(path) as temporary:
+            temporary.write_text(json.dumps(content, indent=2) + "\n")
     return resolved
 
 
@@ -96,9 +103,12 @@ def read_run(folder: Path) -> PretrainConfig:
     path = folder / "config.json"
     if not path.is_file():
         raise ValueError(f"{folder}: there is no run here (no config.json)")
-    content = json.loads(path.read_text())
-    config = config_from_json(content["run"])
-    if fingerprint(config.data) != content["data"]:
+    content = read_object(path, "run")
+    try:
+        config = config_from_json(content["run"])
+    except ValueError as error:
+        raise ValueError(f"{path}: not a pretraining run ({error})") from error
+    if fingerprint(config.data) != content.get("data"):
         raise ValueError(f"{config.data}: the data have changed since the run began")
     return config
 
@@ -148,7 +158,7 @@ def pretrain(config: PretrainConfig, folder: Path, *, quiet: bool = False) -> Pr
         ValueError: for a folder with another run, or data that cannot be used.
         FloatingPointError: if a loss is not a number; the last checkpoint stays.
     """
-    config = open_run(config, folder)
+    config = check_run(config, folder)
     assert config.threshold is not None
     assert config.gamma_safe is not None
     if config.device == "cuda" and not torch.cuda.is_available():
@@ -157,6 +167,7 @@ def pretrain(config: PretrainConfig, folder: Path, *, quiet: bool = False) -> Pr
     device = torch.device(config.device)
     sizes = Sizes(data[0].observations.shape[1], data[0].actions.shape[1])
     learner = build_learner(config.method, sizes, config.seeds).to(device)
+    open_run(config, folder)  # only now: everything fits
     settings = config.method
     batches = Batches(data, config.seeds, settings.batch_size, settings.violation_share, device)
     del data  # the batches have their own copy

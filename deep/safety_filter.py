@@ -245,6 +245,8 @@ class SafetyFilter:
             )
         except (KeyError, TypeError) as error:
             raise ValueError(f"{path}: the safety filter lacks {error}") from error
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
 
 
 def _sigmoid(logits: Floats) -> Floats:

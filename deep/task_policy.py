@@ -96,3 +96,5 @@ class TrainedPolicy:
             )
         except (KeyError, TypeError) as error:
             raise ValueError(f"{path}: the task policy lacks {error}") from error
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error

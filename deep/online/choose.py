@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dead_ends.io.atomic import atomic_path
+from deep.folder import read_object
 
 __all__ = ["Choice", "choose_threshold", "pick", "read_threshold", "write_choice"]
 
@@ -52,10 +53,12 @@ def choose_threshold(run: Path, baseline: Path, share: float) -> Choice:
     result = run / "result.json"
     if not result.is_file():
         raise ValueError(f"{run}: not a finished run (no result.json)")
-    content = json.loads(result.read_text())
+    content = read_object(result, "seeds", "budget")
     tried = [(entry["threshold"], entry["tv"]) for entry in content["seeds"]]
     if any(threshold is None for threshold, _ in tried):
         raise ValueError(f"{run}: a run without correction has no threshold to choose")
+    if any(violations is None for _, violations in tried):
+        raise ValueError(f"{run}: nothing was trained there, so no violations were counted")
     allowed = share * _violations(baseline, content["budget"]["env_steps"])
     return pick(tuple((float(t), int(v)) for t, v in tried), allowed)
 

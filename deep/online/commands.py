@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +15,7 @@ from deep.formats import write_hdf5
 from deep.online.choose import choose_threshold, read_threshold, write_choice
 from deep.online.config import TrainConfig
 from deep.online.offline import OfflineConfig, train_offline
-from deep.online.offline_data import offline_data
+from deep.online.offline_data import offline_data, training_run
 from deep.online.plug import evaluate_policies
 from deep.online.train import train
 
@@ -140,10 +139,7 @@ class OfflineData:
 
     def run(self) -> None:
         """Put them together, write, and say what there is."""
-        config = self.run_folder / "config.json"
-        if not config.is_file():
-            raise ValueError(f"{self.run_folder}: there is no run here (no config.json)")
-        task = json.loads(config.read_text())["run"]["task"]
+        task = training_run(self.run_folder).task
         rng = np.random.default_rng(self.seed)
         data = offline_data(task, self.run_folder, self.seed, self.random, self.keep, rng)
         self.out.parent.mkdir(parents=True, exist_ok=True)

@@ -9,11 +9,20 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
+from deep.pretrain.learner import Sizes
 from deep.tasks import TaskVectorEnv, make_task
 from deep.tasks.gym import GymVectorEnv
 from deep.tasks.safety_gym.real import RealVectorEnv
 
-__all__ = ["Arrived", "Fleet", "environment_seed", "evaluation_copies", "make_vector_env"]
+__all__ = [
+    "Arrived",
+    "Fleet",
+    "check_fit",
+    "environment_seed",
+    "evaluation_copies",
+    "make_vector_env",
+    "task_sizes",
+]
 
 REAL = "real:"
 """Before the name of a task: the one of Safety-Gymnasium itself."""
@@ -47,6 +56,34 @@ def make_vector_env(task: str, copies: int) -> TaskVectorEnv | RealVectorEnv | G
 def evaluation_copies(task: str) -> int | None:
     """Copies at once in an evaluation: few simulators of others; None: one an episode."""
     return FOREIGN_COPIES if task.startswith((REAL, GYM)) else None
+
+
+def task_sizes(task: str) -> Sizes:
+    """Dimensions of a task's observations and actions."""
+    fleet = Fleet(task, (0,), 1)
+    try:
+        return Sizes(fleet.observation_dim, fleet.action_dim)
+    finally:
+        fleet.close()
+
+
+def check_fit(what: str, found: Sizes, task: str, sizes: Sizes) -> None:
+    """Refuse what was made for observations and actions of other dimensions than the task's.
+
+    Args:
+        what: the beginning of the message, up to its verb or colon.
+        found: what it was made for.
+        task: the task's name.
+        sizes: the task's.
+
+    Raises:
+        ValueError: naming both.
+    """
+    if found != sizes:
+        raise ValueError(
+            f"{what} observations in R^{found.observation} and actions in R^{found.action}, "
+            f"{task} has R^{sizes.observation} and R^{sizes.action}"
+        )
 
 
 def environment_seed(seed: int, stream: int) -> int:

@@ -20,6 +20,7 @@ from deep.online.learner import TaskBatch
 from deep.online.scaling import Scaling
 from deep.pretrain import Learner, Rrl, TaskPolicy
 from deep.pretrain.extract import extract_filter
+from deep.pretrain.health import check_losses
 from deep.safety_filter import SafetyFilter
 
 __all__ = ["FinetunedGate", "FrozenGate", "Gate", "Gated", "OpenGate"]
@@ -127,7 +128,11 @@ class FinetunedGate:
         return Gated(torch.where(intervened[..., None], recovery, a).numpy(), intervened.numpy())
 
     def learn(self, update: int, batch: TaskBatch, task_policy: TaskPolicy) -> None:
-        """One update of critic and recovery policy; RRL's critic is that of ``task_policy``."""
+        """One update of critic and recovery policy; RRL's critic is that of ``task_policy``.
+
+        Raises:
+            FloatingPointError: if a loss is not a number.
+        """
         raw = _joined(self._offline.get(update), batch)
         scaling = self._scaling
         if isinstance(self.learner, Rrl):
@@ -135,7 +140,7 @@ class FinetunedGate:
             self.learner.task_policy = lambda _, noise: scaling.action(
                 task_policy(raw.next_observation, noise)
             )
-        self.learner.update(
+        losses = self.learner.update(
             raw._replace(
                 observation=scaling.observation(raw.observation),
                 next_observation=scaling.observation(raw.next_observation),
@@ -143,6 +148,10 @@ class FinetunedGate:
             ),
             0.0,
         )
+        try:
+            check_losses(self.learner, losses, update)
+        except FloatingPointError as error:
+            raise FloatingPointError(f"finetuning of {self.learner.name}: {error}") from error
 
     def filters(self) -> tuple[SafetyFilter, ...]:
         """Copies of the networks of the moment."""

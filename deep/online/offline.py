@@ -24,13 +24,14 @@ from deep.data import Transitions
 from deep.folder import CsvLog, InterruptAfterUpdate, fingerprint
 from deep.formats import read_hdf5
 from deep.normalise import centre_and_scale, normalise
-from deep.online.fleet import Fleet
+from deep.online.fleet import check_fit, task_sizes
 from deep.online.iql import Iql, IqlSettings
 from deep.online.learner import TaskBatch, TaskLosses
 from deep.online.results import (
     EPISODES_KEPT_APART,
     EVALUATIONS,
     TrainResult,
+    check_folder,
     checked_losses,
     evaluate,
     evaluation_rows,
@@ -102,9 +103,10 @@ def train_offline(config: OfflineConfig, folder: Path, *, quiet: bool = False) -
         ValueError: for a folder with another run, or data that do not fit the task.
         FloatingPointError: if a loss is not a number; the last checkpoint stays.
     """
-    open_folder(folder, config.to_json(), fingerprint(config.data))
+    data = fingerprint(config.data)
+    check_folder(folder, config.to_json(), data)
     if not (folder / "result.json").exists():
-        run = _Run(config, folder)
+        run = _Run(config, folder, data)
         run.train(quiet)
         run.finish()
     return read_result(folder)
@@ -129,10 +131,10 @@ def task_batch(batches: Batches, update: int) -> TaskBatch:
 class _Run:
     """Everything that a run holds between two updates."""
 
-    def __init__(self, config: OfflineConfig, folder: Path) -> None:
+    def __init__(self, config: OfflineConfig, folder: Path, known: str | None) -> None:
         self.config = config
         self.folder = folder
-        sizes = _sizes(config.task)
+        sizes = task_sizes(config.task)
         data = read_hdf5(config.data)
         _check_fit(config, data, sizes)
         centre, scale = centre_and_scale(data.observations)
@@ -146,6 +148,7 @@ class _Run:
             torch.device("cpu"),
         )
         self.learner = Iql(config.method, sizes, config.seeds)
+        open_folder(folder, config.to_json(), known)  # only now: everything fits
         self.updates, self.seconds = 0, 0.0
         self.checkpoint = folder / "checkpoint.safetensors"
         if self.checkpoint.exists():
@@ -221,21 +224,9 @@ class _Run:
         )
 
 
-def _sizes(task: str) -> Sizes:
-    fleet = Fleet(task, (0,), 1)
-    try:
-        return Sizes(fleet.observation_dim, fleet.action_dim)
-    finally:
-        fleet.close()
-
-
 def _check_fit(config: OfflineConfig, data: Transitions, sizes: Sizes) -> None:
     found = Sizes(data.observations.shape[1], data.actions.shape[1])
-    if found != sizes:
-        raise ValueError(
-            f"{config.data}: observations in R^{found.observation} and actions in "
-            f"R^{found.action}, {config.task} has R^{sizes.observation} and R^{sizes.action}"
-        )
+    check_fit(f"{config.data}:", found, config.task, sizes)
     outside = (np.abs(data.actions) > 1 + BEYOND).any(axis=1)
     if outside.any():
         raise ValueError(

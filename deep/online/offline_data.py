@@ -7,19 +7,37 @@ violations of a trained policy resemble each other.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 
 from deep.collect import collect, random_policy
 from deep.data import Transitions, concatenate, keep_before_violation
-from deep.online.config import train_config_from_json
-from deep.online.fleet import Fleet
+from deep.folder import read_object
+from deep.online.config import TrainConfig, train_config_from_json
+from deep.online.fleet import Fleet, evaluation_copies, task_sizes
 from deep.online.replay import Replay
 from deep.tasks import make_task
 
-__all__ = ["offline_data", "replayed"]
+__all__ = ["offline_data", "replayed", "training_run"]
+
+SEEDS = 2**31
+
+
+def training_run(folder: Path) -> TrainConfig:
+    """The configuration of the online run in this folder.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    path = folder / "config.json"
+    if not path.is_file():
+        raise ValueError(f"{folder}: there is no run here (no config.json)")
+    content = read_object(path, "run")
+    try:
+        return train_config_from_json(content["run"])
+    except ValueError as error:
+        raise ValueError(f"{path}: not a training run ({error})") from error
 
 
 def replayed(folder: Path, seed: int) -> Transitions:
@@ -28,24 +46,18 @@ def replayed(folder: Path, seed: int) -> Transitions:
     Raises:
         ValueError: if the run is not finished, or has not kept its buffer.
     """
-    path = folder / "config.json"
-    if not path.is_file():
-        raise ValueError(f"{folder}: there is no run here (no config.json)")
-    config = train_config_from_json(json.loads(path.read_text())["run"])
+    config = training_run(folder)
     if not (folder / "result.json").is_file() or not (folder / "replay.bin").is_file():
         raise ValueError(f"{folder}: not a finished run that kept its replay buffer")
     if seed not in config.seeds:
         raise ValueError(f"{folder}: there is no seed {seed}, only {list(config.seeds)}")
-    fleet = Fleet(config.task, (seed,), 1)
-    sizes = (fleet.observation_dim, fleet.action_dim)
-    fleet.close()
     replay = Replay(
         folder / "replay.bin",
         config.seeds,
         config.copies,
         config.replay // config.copies,
         config.checkpoint_every // config.copies,
-        *sizes,
+        *task_sizes(config.task),
     )
     return replay.transitions(seed, config.steps // config.copies)
 
@@ -61,7 +73,36 @@ def offline_data(
     """
     parts = [keep_before_violation(replayed(runs, seed), keep)]
     if random:
-        known = make_task(task)
-        fresh = collect(known, random_policy(known), rng, random)
-        parts.append(keep_before_violation(fresh, keep))
+        parts.append(keep_before_violation(_random_transitions(task, random, rng), keep))
     return concatenate(parts)
+
+
+def _random_transitions(task: str, transitions: int, rng: np.random.Generator) -> Transitions:
+    """At least so many, with uniform random actions."""
+    copies = evaluation_copies(task)
+    if copies is not None:
+        return _in_environments(task, transitions, copies, rng)
+    known = make_task(task)
+    return collect(known, random_policy(known), rng, transitions)
+
+
+def _in_environments(
+    task: str, transitions: int, copies: int, rng: np.random.Generator
+) -> Transitions:
+    """The same where there is no batch-vectorised task, but a "real:" or "gym:" environment."""
+    fleet = Fleet(task, (int(rng.integers(SEEDS)),), copies)
+    steps = []
+    try:
+        observation = fleet.reset()
+        for _ in range(-(-transitions // copies)):
+            action = rng.uniform(-1, 1, (1, copies, fleet.action_dim)).astype(np.float32)
+            following, last, *outcome = fleet.step(action)
+            steps.append((observation, action, last, *outcome))
+            observation = following
+    finally:
+        fleet.close()
+    # Copy by copy, each one's last episode cut off where the recording ends.
+    columns = [np.stack(column, axis=2)[0] for column in zip(*steps, strict=True)]
+    terminal, timeout = columns[-2:]
+    timeout[:, -1] |= ~terminal[:, -1]
+    return Transitions(*(column.reshape(-1, *column.shape[2:]) for column in columns))

@@ -5,13 +5,15 @@ Also the plain evaluation of a policy, without a filter.
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from deep.folder import read_object
+from deep.online.fleet import check_fit, task_sizes
 from deep.online.results import evaluate, seed_entry, write_result
+from deep.pretrain.learner import Sizes
 from deep.safety_filter import SafetyFilter
 from deep.task_policy import TrainedPolicy
 
@@ -39,12 +41,15 @@ def evaluate_policies(
         task: evaluate there instead of where the policies were trained.
 
     Raises:
-        ValueError: if a run is missing or unfinished, or lacks a seed.
+        ValueError: if a run is missing or unfinished, lacks a seed or does not fit the task,
+            or if ``out`` holds a run.
     """
     path = policies / "result.json"
     if not path.is_file():
         raise ValueError(f"{policies}: not a finished run (no result.json)")
-    run = json.loads(path.read_text())
+    if (out / "config.json").exists():
+        raise ValueError(f"{out} holds a run, whose result an evaluation would replace")
+    run = read_object(path, "task", "method", "seeds", "budget")
     where = task or run["task"]
     begin = time.perf_counter()
     numbers = [int(entry["seed"]) for entry in run["seeds"]]
@@ -52,6 +57,12 @@ def evaluate_policies(
         TrainedPolicy.load(policies / "policies" / f"seed{seed}.safetensors") for seed in numbers
     ]
     gates = [] if safety is None else _filters(safety, numbers, threshold)
+    sizes = task_sizes(where)
+    for folder, kind, made in ((policies, "policies", trained), (safety, "filters", gates)):
+        for one in made:
+            n = one.normalisation
+            found = Sizes(len(n.observation_centre), len(n.action_centre))
+            check_fit(f"{folder}: its {kind} take", found, where, sizes)
     thresholds: list[float | None] = [gate.threshold for gate in gates]
     seeds = [
         seed_entry(seed, found, tv=None, episodes=None, training_arr=None, threshold=epsilon)

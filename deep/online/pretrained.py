@@ -11,6 +11,7 @@ from deep.batches import Batches
 from deep.checkpoint import load_checkpoint
 from deep.config import PretrainConfig
 from deep.online.config import TrainConfig
+from deep.online.fleet import check_fit
 from deep.online.gate import FinetunedGate, FrozenGate, Gate, OpenGate
 from deep.online.scaling import Scaling
 from deep.pretrain import Learner, RrlMsdpSettings, RrlSettings, build_learner
@@ -33,12 +34,8 @@ def build_gate(config: TrainConfig, sizes: Sizes) -> Gate:
     seeds = config.safety_seeds or config.seeds
     filters = _filters(config, pretrained, seeds)
     for safety in filters:
-        if (safety.observation_dim, safety.action_dim) != tuple(sizes):
-            raise ValueError(
-                f"{config.safety}: its filters take observations in R^{safety.observation_dim} and "
-                f"actions in R^{safety.action_dim}, {config.task} has R^{sizes.observation} and "
-                f"R^{sizes.action}"
-            )
+        found = Sizes(safety.observation_dim, safety.action_dim)
+        check_fit(f"{config.safety}: its filters take", found, config.task, sizes)
     finetune = config.finetune
     if finetune is None:
         finetune = isinstance(pretrained.method, RrlSettings | RrlMsdpSettings)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from dead_ends.io.atomic import atomic_path
-from deep.folder import versions
+from deep.folder import read_object, versions
 from deep.online.episodes import Episodes, run_episodes
 from deep.online.fleet import evaluation_copies
 from deep.online.learner import TaskLearner, TaskLosses
@@ -24,6 +24,7 @@ __all__ = [
     "EPISODES_KEPT_APART",
     "EVALUATIONS",
     "TrainResult",
+    "check_folder",
     "checked_losses",
     "evaluate",
     "evaluation_rows",
@@ -55,8 +56,8 @@ class TrainResult:
     seeds: tuple[dict[str, Any], ...]
 
 
-def open_folder(folder: Path, plain: dict[str, Any], data: str | None = None) -> None:
-    """Begin a run in a new folder, or find the same one in an old folder.
+def check_folder(folder: Path, plain: dict[str, Any], data: str | None = None) -> None:
+    """Refuse a folder that holds another run; nothing is written.
 
     Args:
         folder: the run's.
@@ -67,15 +68,25 @@ def open_folder(folder: Path, plain: dict[str, Any], data: str | None = None) ->
         ValueError: if the folder holds another run, or the data have changed since.
     """
     path = folder / "config.json"
-    if path.exists():
-        content = json.loads(path.read_text())
-        if content["run"] != json.loads(json.dumps(plain)):
-            raise ValueError(f"{folder} holds a run with another configuration")
-        if content.get("data") != data:
-            raise ValueError(f"{plain['data']}: the data have changed since the run began")
+    if not path.exists():
         return
-    folder.mkdir(parents=True, exist_ok=True)
-    _write_json(path, {"run": plain, "made with": versions()} | ({"data": data} if data else {}))
+    content = read_object(path, "run")
+    if content["run"] != json.loads(json.dumps(plain)):
+        raise ValueError(f"{folder} holds a run with another configuration")
+    if content.get("data") != data:
+        raise ValueError(f"{plain['data']}: the data have changed since the run began")
+
+
+def open_folder(folder: Path, plain: dict[str, Any], data: str | None = None) -> None:
+    """Begin a run in a new folder, or find the same one in an old folder, see
+    :func:`check_folder`.
+    """
+    check_folder(folder, plain, data)
+    path = folder / "config.json"
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        made = {"run": plain, "made with": versions()}
+        _write_json(path, made | ({"data": data} if data else {}))
 
 
 def checked_losses(seed: int, k: int, losses: TaskLosses | None, moment: str) -> list[str]:
@@ -181,7 +192,7 @@ def write_result(folder: Path, content: dict[str, Any]) -> None:
 
 def read_result(folder: Path) -> TrainResult:
     """What a finished run says."""
-    content = json.loads((folder / "result.json").read_text())
+    content = read_object(folder / "result.json", "method", "seeds")
     return TrainResult(folder, content["method"], tuple(content["seeds"]))
 
 

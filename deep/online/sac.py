@@ -1,4 +1,4 @@
-"""Soft actor-critic, the task policy's learner in Algorithm 2 (line 16: maximise J(pi)).
+"""Soft actor-critic, the task policy's learner in Algorithm 2 (line 17: maximise J(pi)).
 
 For K seeds at once, with a fixed temperature alpha and twin critics Q1, Q2:
 

@@ -44,6 +44,7 @@ from deep.online.results import (
     EPISODES_KEPT_APART,
     EVALUATIONS,
     TrainResult,
+    check_folder,
     checked_losses,
     evaluate,
     evaluation_rows,
@@ -78,7 +79,7 @@ def train(config: TrainConfig, folder: Path, *, quiet: bool = False) -> TrainRes
         ValueError: for a folder with another run, or a pretraining that does not fit.
         FloatingPointError: if a loss is not a number; the last checkpoint stays.
     """
-    open_folder(folder, train_config_to_json(config))
+    check_folder(folder, train_config_to_json(config))
     if not (folder / "result.json").exists():
         run = _Run(config, folder)
         try:
@@ -121,6 +122,7 @@ class _Run:
         if isinstance(self.gate, FinetunedGate):
             learners.append(self.gate.learner)
         self.state = _State(learners)
+        open_folder(folder, train_config_to_json(config))  # only now: everything fits
         checkpoint, replay = folder / "checkpoint.safetensors", folder / "replay.bin"
         if checkpoint.exists() and not replay.exists():
             raise ValueError(f"{replay}: the run cannot go on without its replay buffer")

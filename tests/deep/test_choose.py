@@ -75,6 +75,11 @@ def test_runs_that_cannot_be_compared_are_refused(tmp_path: Path) -> None:
     (select / "result.json").write_text(json.dumps(content))
     with pytest.raises(ValueError, match=r"there is no run here \(no progress.csv\)"):
         choose_threshold(select, select, 0.1)
+    content["seeds"][0]["tv"] = None  # as an evaluation leaves it
+    (select / "result.json").write_text(json.dumps(content))
+    with pytest.raises(ValueError, match="select: nothing was trained there, so no violations"):
+        choose_threshold(select, baseline, 0.1)
+    content["seeds"][0]["tv"] = 2
     content["budget"]["env_steps"] = 250
     (select / "result.json").write_text(json.dumps(content))
     with pytest.raises(ValueError, match="there is no row for step 250"):

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
+from gymnasium import spaces
 
 from deep.__main__ import main
 from deep.data import keep_before_violation
@@ -17,7 +21,7 @@ from deep.online.offline_data import offline_data, replayed
 from deep.online.plug import evaluate_policies
 from deep.online.train import train
 from deep.task_policy import TrainedPolicy
-from tests.deep.online_runs import SEEDS, TINY, blocking_filter, hand_made
+from tests.deep.online_runs import SEEDS, TINY, blocking_filter, hand_made, same
 
 
 @pytest.fixture(scope="module")
@@ -59,8 +63,60 @@ def test_the_command_writes_what_the_function_gives(run: Path, tmp_path: Path) -
     out = tmp_path / "new" / "data.hdf5"
     given = ["--run-folder", str(run), "--seed", "3", "--random", "300", "--keep", "3"]
     assert main(["offline-data", "--out", str(out), *given]) == 0
-    same = offline_data("brake", run, 3, 300, 3, np.random.default_rng(3))
-    assert np.array_equal(read_hdf5(out).actions, same.actions)
+    expected = offline_data("brake", run, 3, 300, 3, np.random.default_rng(3))
+    assert same(read_hdf5(out), expected)
+
+
+class Coin(gymnasium.Env[np.ndarray, np.ndarray]):
+    """Counts its steps; a cost with probability 1/4, the end of the clock after five."""
+
+    observation_space = spaces.Box(0.0, 9.0, (1,), np.float32)
+    action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+    def reset(
+        self,
+        *,
+        seed: int | None = None,
+        options: dict[str, Any] | None = None,  # noqa: ARG002  (Gymnasium's signature)
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.steps = 0
+        return np.zeros(1, dtype=np.float32), {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        self.steps += 1
+        cost = float(self.np_random.random() < 0.25)
+        observation = np.array([self.steps], dtype=np.float32)
+        return observation, float(action[0]), False, self.steps == 5, {"cost": cost}
+
+
+@pytest.fixture
+def coin() -> Iterator[str]:
+    gymnasium.register("Coin-v0", entry_point=Coin, disable_env_checker=True)
+    yield "gym:Coin-v0"
+    del gymnasium.registry["Coin-v0"]
+
+
+def test_foreign_environments_give_random_transitions_too(coin: str, tmp_path: Path) -> None:
+    train(replace(TINY, task=coin), tmp_path / "run", quiet=True)
+    data = offline_data(coin, tmp_path / "run", 0, 203, None, np.random.default_rng(5))
+    fresh = data.take(np.arange(TINY.steps, len(data)))
+    assert len(fresh) == 204  # four copies, as many steps each
+    assert fresh.actions.shape == (204, 2)
+    assert len(np.unique(fresh.actions)) > 400
+    assert np.array_equal(fresh.rewards, fresh.actions[:, 0])
+    # Whole episodes one after another: each begins at 0, and ends at a cost or the fifth step.
+    begins = np.append(True, fresh.ends[:-1])
+    assert np.array_equal(fresh.observations[:, 0] == 0, begins)
+    assert np.array_equal(fresh.next_observations, fresh.observations + 1)
+    assert np.array_equal(fresh.terminals, fresh.costs == 1)
+    late = (fresh.next_observations[:, 0] == 5) & ~fresh.terminals
+    late[50::51] |= ~fresh.terminals[50::51]  # a copy's recording ends
+    assert np.array_equal(fresh.timeouts, late)
+    again = offline_data(coin, tmp_path / "run", 0, 203, None, np.random.default_rng(5))
+    assert same(data, again)
+    other = offline_data(coin, tmp_path / "run", 0, 203, None, np.random.default_rng(6))
+    assert not np.array_equal(other.actions, data.actions)
 
 
 def test_runs_without_a_buffer_are_refused(run: Path, tmp_path: Path) -> None:

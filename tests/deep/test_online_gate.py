@@ -273,6 +273,20 @@ def test_a_seed_is_finetuned_as_if_alone(rrl: Path) -> None:
         assert torch.allclose(state(both)[name][half:], tensor, atol=1e-5), name
 
 
+@pytest.mark.parametrize("method", [RrlSettings(**NETS), RrlMsdpSettings(**NETS)])
+def test_a_loss_that_is_no_number_stops_the_finetuning(
+    method: RrlSettings | RrlMsdpSettings, tmp_path: Path
+) -> None:
+    gate = finetuned(short_pretraining(tmp_path, method))
+    good = batch()
+    gate.learn(0, good, task_policy(SEEDS))
+    good.executed[1, 0] = torch.nan
+    name = gate.learner.name
+    message = f"^finetuning of {name}: update 7: the critic loss of seed 3 is nan; try"
+    with pytest.raises(FloatingPointError, match=message):
+        gate.learn(7, good, task_policy(SEEDS))
+
+
 def test_pretraining_that_does_not_fit_is_refused(rrl: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no: there is no run here"):
         build_gate(replace(TINY, safety=tmp_path / "no"), SIZES)
@@ -292,6 +306,12 @@ def test_pretraining_that_does_not_fit_is_refused(rrl: Path, tmp_path: Path) -> 
     (unfinished / "filters" / "seed3.safetensors").unlink()
     with pytest.raises(ValueError, match=r"seed3.safetensors: there is no such file$"):
         build_gate(replace(TINY, safety=unfinished), SIZES)
+    (rrl / "checkpoint.safetensors").rename(tmp_path / "moved")
+    try:
+        with pytest.raises(ValueError, match="checkpoint.safetensors: there is no such file$"):
+            build_gate(replace(TINY, safety=rrl), SIZES)
+    finally:
+        (tmp_path / "moved").rename(rrl / "checkpoint.safetensors")
     (unfinished / "config.json").write_text(json.dumps({"run": {"method": 3}}))
-    with pytest.raises(ValueError, match="^not the configuration of a run: "):
+    with pytest.raises(ValueError, match="config.json: not a pretraining run "):
         build_gate(replace(TINY, safety=unfinished), SIZES)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict
 from pathlib import Path
 
@@ -106,7 +107,7 @@ def test_broken_files_are_refused(policy: TrainedPolicy, tmp_path: Path) -> None
         with pytest.raises(ValueError, match=f"safetensors: the task policy lacks '{name}'$"):
             TrainedPolicy.load(path)
     write_networks(path, FORMAT, {"other": policy.layers}, rest)
-    with pytest.raises(ValueError, match="^policy: there are no layers$"):
+    with pytest.raises(ValueError, match="policy.safetensors: policy: there are no layers$"):
         TrainedPolicy.load(path)
 
 
@@ -165,6 +166,15 @@ def test_layers_that_do_not_fit_are_refused() -> None:
             check_layers("policy", good, inputs, outputs)
     with pytest.raises(ValueError, match="^policy: the layers do not fit each other$"):
         check_layers("policy", (good[0], good[2]), 3, 4)
+    with pytest.raises(ValueError, match="^policy: the layers do not fit each other$"):
+        check_layers("policy", (good[0], *((w[None], b[None, None]) for w, b in good[1:])), 3, 4)
+    (weights, biases), *others = good
+    for shape in ((1, 8), (3,), ()):
+        message = f"policy: layer 0 has weights of shape (3, 8) and biases of shape {shape}"
+        with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+            check_layers("policy", ((weights, np.zeros(shape, np.float32)), *others), 3, 4)
+    with pytest.raises(ValueError, match=r"^policy: the weights of layer 0 have shape \(8,\)$"):
+        check_layers("policy", ((weights[0], biases), *others), 3, 4)
     for place in (0, 1):
         bad = layers()
         bad[1][place][0] = np.nan if place else np.inf
