@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from deep.data import Transitions
 from deep.safety_filter import Normalisation
 
-__all__ = ["centre_and_scale", "normalisation_of", "normalise"]
+__all__ = ["centre_and_scale", "normalisation_of", "normalisation_of_observations", "normalise"]
 
 CONSTANT = 1e-6
 """A coordinate that deviates by less, relative to its size or 1, is constant up to rounding."""
@@ -26,26 +26,31 @@ def normalisation_of(data: Transitions, sharpness: float = 1.0) -> Normalisation
     values would fill a small part of [-1, 1], the smaller the longer it was recorded. A
     coordinate that is constant up to rounding is only centred.
     """
-    power = _powers(data, sharpness)
-    identity = Normalisation.identity(data.observations.shape[1], data.actions.shape[1])
-    seen = replace(identity, observation_power=power).powered(data.observations)
-    centre, scale = centre_and_scale(seen)
+    seen = normalisation_of_observations(data.observations, data.actions.shape[1], sharpness)
     low, high = (data.actions.min(axis=0).astype(float), data.actions.max(axis=0).astype(float))
     half = (high - low) / 2
-    return Normalisation(
-        centre,
-        scale,
-        tuple(((low + high) / 2).tolist()),
-        tuple(np.where(half > 0, half, 1.0).tolist()),
-        power,
+    return replace(
+        seen,
+        action_centre=tuple(((low + high) / 2).tolist()),
+        action_scale=tuple(np.where(half > 0, half, 1.0).tolist()),
     )
 
 
-def _powers(data: Transitions, sharpness: float) -> tuple[float, ...]:
+def normalisation_of_observations(
+    x: NDArray[np.float32], action_dim: int, sharpness: float = 1.0
+) -> Normalisation:
+    """As :func:`normalisation_of`, of observations (n, o); actions stay as they are."""
+    identity = Normalisation.identity(x.shape[1], action_dim)
+    sharpened = replace(identity, observation_power=_powers(x, sharpness))
+    centre, scale = centre_and_scale(sharpened.powered(x))
+    return replace(sharpened, observation_centre=centre, observation_scale=scale)
+
+
+def _powers(x: NDArray[np.float32], sharpness: float) -> tuple[float, ...]:
     """``sharpness`` for coordinates in [0, 1] that vary, 1 for others; () if it is 1."""
     if sharpness == 1:
         return ()
-    low, high = data.observations.min(axis=0), data.observations.max(axis=0)
+    low, high = x.min(axis=0), x.max(axis=0)
     closeness = (low >= 0) & (high <= 1) & (low < high)
     return tuple(np.where(closeness, sharpness, 1.0).tolist())
 

@@ -18,6 +18,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from dead_ends.io.atomic import atomic_path
+from deep.folder import versions
 from deep.report_plots import ablation_figure, epsilon_figure, training_figure
 from deep.report_runs import Study, read_study
 from deep.report_tables import ablation_table, epsilon_table, main_table, plug_table, seed_rows
@@ -30,9 +31,10 @@ stratified bootstrap. With 4 seeds the IQM is the mean of the middle two; with o
 agree, there is no interval. ACR: return of an episode. AVR: share of the episodes that end in a
 violation. ARR: share of the steps in which the task policy's action was replaced. All three are
 over whole evaluation episodes unless "training" is said. TV: violations of a seed during
-training. ε: the threshold. Steps, updates and episodes are those of one seed; the wall time is
-that of the run, all its seeds together. "paper": its tables, averages over 500 episodes in the
-MuJoCo-based Safety Gym; the paper states neither the number of its seeds nor its steps.
+training. ε: the threshold; d: WCSAC's cost limit. Steps, updates and episodes are those of one
+seed; the wall time is that of the run, all its seeds together. "paper": its tables, averages over
+500 episodes in the MuJoCo-based Safety Gym; the paper states neither the number of its seeds nor
+its steps.
 """
 
 
@@ -151,12 +153,12 @@ def _inventory(study: Study) -> dict[str, Any]:
         }
         for run in study.runs
     ]
-    versions = {name: metadata.version(name) for name in ("matplotlib", "numpy", "scipy")}
+    drawn_with = {name: metadata.version(name) for name in ("matplotlib", "scipy")}
     return {
         "study": study.name,
         "runs": runs,
         "unfinished": list(study.unfinished),
-        "report made with": versions,
+        "report made with": versions() | drawn_with,
     }
 
 

@@ -57,7 +57,7 @@ class SeedResult:
         tv: violations during training; None where nothing was trained.
         episodes: of the training; None where nothing was trained.
         training_arr: share of the training's steps that were corrected, or None.
-        threshold: epsilon, or None without behavior correction.
+        threshold: epsilon, or WCSAC's cost limit; None without either.
     """
 
     seed: int
@@ -122,7 +122,7 @@ class Run:
     evaluations: Log | None
 
     def by_threshold(self) -> list[tuple[float, tuple[SeedResult, ...]]]:
-        """The seeds grouped by their threshold, increasing; none without behavior correction."""
+        """The seeds grouped by their threshold, increasing; none where there is none."""
         values = sorted({seed.threshold for seed in self.seeds if seed.threshold is not None})
         return [(v, tuple(seed for seed in self.seeds if seed.threshold == v)) for v in values]
 

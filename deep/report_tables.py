@@ -101,7 +101,7 @@ def _paper(score: PaperScore | None) -> tuple[str, str, str, str]:
 def main_table(study: Study) -> str:
     """A table a task: each method's ACR, AVR, TV and ARR beside the paper's, with the budget."""
     header = ["method", "ACR", "paper ACR", "AVR", "paper AVR", "TV", "paper TV"]
-    header += ["ARR, evaluation", "ARR, training", "ε", *BUDGET]
+    header += ["ARR, evaluation", "ARR, training", "ε or d", *BUDGET]
     runs = study.section("train")
     methods = tuple(dict.fromkeys((*METHODS, *study.methods("train"))))
     parts = []
@@ -254,7 +254,7 @@ def ablation_table(study: Study) -> str:
 def epsilon_table(study: Study) -> str:
     """A table a task: a row a form and threshold; ``chosen`` is what the training runs used."""
     runs, trained = study.section("select"), study.section("train")
-    header = ["form", "ε", *OUTCOMES, *BUDGET, "chosen"]
+    header = ["method", "ε or d", *OUTCOMES, *BUDGET, "chosen"]
     forms = tuple(dict.fromkeys((*EPSILON_FORMS, *study.methods("select"))))
     parts = []
     for task in study.tasks():

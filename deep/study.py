@@ -5,7 +5,8 @@ For each task, in ``STUDY/<task>/``:
     data/sac        SAC on a seed of its own, whose replay buffer is the offline data
     data/*.hdf5     before violations (with random actions) for the critics; all for IQL
     pretrain/FORM   Algorithm 1 in each form, on the same data
-    select/FORM     short runs, one candidate of epsilon a seed, on seeds of their own
+    select/METHOD   short runs, one candidate of epsilon (WCSAC: of its cost limit) a seed, on
+                    seeds of their own
     train/METHOD    Algorithm 2 in each form, and the baselines
     plug/A+B        trained policies behind filters that they have never met
     ablation/FORM   the forms of Algorithm 1 at one epsilon (on one task)
@@ -45,21 +46,24 @@ class StudyConfig:
         tasks: their names.
         methods: sac, wcsac, iql, and forms of Algorithm 1.
         seeds: of the results, trained side by side in one process.
-        selection_seeds: of the runs that choose epsilon, one a candidate; the first one is
+        selection_seeds: of the runs that choose thresholds, one a candidate; the first one is
             pretrained, and its SAC run gives the offline data.
         steps: environment steps of a training run and seed.
         selection_steps: of a run that chooses epsilon.
+        limit_selection_steps: of the one that chooses WCSAC's cost limit: it is not pretrained.
         pretrain_updates: of Algorithm 1.
         iql_updates: of IQL.
         random: transitions with random actions among the offline data, before the filter.
         keep: offline data are so many steps before violations (the paper: 100, with which
             every state in the data is soon lost).
-        sharpness: of the critics' view of lidars, see :class:`deep.config.PretrainConfig`.
+        sharpness: of all safety critics' view of lidars, WCSAC's too, see
+            :class:`deep.config.PretrainConfig`.
         horizon: H of the tasks, the most steps from a dead-end to the violation: a Point
             at top speed brakes to a stand in 18 steps.
         candidates: of epsilon, for the critics with gamma_safe 0.99.
         annealed_candidates: of epsilon for dea-rrl-annealed, whose gamma_safe is H / (H + 1).
-        safety_share: chosen is the largest epsilon with at most this share of SAC's violations.
+        limits: candidates of WCSAC's cost limit.
+        safety_share: chosen is the largest one with at most this share of SAC's violations.
         ablation_task: where the forms are compared at one epsilon.
         ablation_threshold: that epsilon (the paper's).
         ablation_steps: environment steps of those runs.
@@ -75,6 +79,7 @@ class StudyConfig:
     selection_seeds: tuple[int, ...] = (100, 101, 102, 103)
     steps: int = 1_000_000
     selection_steps: int = 100_000
+    limit_selection_steps: int = 300_000
     pretrain_updates: int = 15_000
     iql_updates: int = 50_000
     random: int = 400_000
@@ -83,6 +88,7 @@ class StudyConfig:
     horizon: int = 20
     candidates: tuple[float, ...] = (0.3, 0.5, 0.7, 0.8)
     annealed_candidates: tuple[float, ...] = (0.02, 0.05, 0.1, 0.2)
+    limits: tuple[float, ...] = (0.005, 0.01, 0.02, 0.045)
     safety_share: float = 0.05
     ablation_task: str = "point-goal1"
     ablation_threshold: float = 0.7
@@ -99,11 +105,11 @@ class StudyConfig:
         if unknown:
             raise ValueError(f"there is no method {unknown[0]!r}; there are {', '.join(METHODS)}")
         if set(self.seeds) & set(self.selection_seeds):
-            raise ValueError("epsilon must be chosen on other seeds than the results'")
-        for candidates in (self.candidates, self.annealed_candidates):
-            if len(candidates) != len(self.selection_seeds):
+            raise ValueError("thresholds must be chosen on other seeds than the results'")
+        for name in ("candidates", "annealed_candidates", "limits"):
+            if len(getattr(self, name)) != len(self.selection_seeds):
                 raise ValueError(
-                    f"{len(candidates)} candidates of epsilon for "
+                    f"{name}: {len(getattr(self, name))} for "
                     f"{len(self.selection_seeds)} selection_seeds: give one each"
                 )
 
@@ -117,21 +123,19 @@ def study_jobs(config: StudyConfig) -> tuple[Job, ...]:
 def _task_jobs(config: StudyConfig, task: str) -> list[list[Job]]:
     """A task's jobs, stage by stage."""
     forms = [form for form in FORMS if form in config.methods]
+    sac, wcsac, iql = ([m] if m in config.methods else [] for m in ("sac", "wcsac", "iql"))
+    chosen = [*forms, *wcsac]
     make = _Jobs(config, task)
-    online = [make.train_sac(method) for method in ("sac", "wcsac") if method in config.methods]
-    if "iql" in config.methods:
-        online.append(make.iql())
     return [
         [make.data_run()],
         [make.offline_data("offline", config.random, config.keep)],
         [make.pretrain(form) for form in forms],
-        online[:1],
-        [make.select(form) for form in forms],
-        [make.choose(form) for form in forms],
-        [make.train(form) for form in forms],
-        online[1:2],
-        [make.offline_data("replay", 0, None)] if "iql" in config.methods else [],
-        online[2:],
+        [make.train_sac() for _ in sac],
+        [make.select(form) for form in forms] + [make.select_limit() for _ in wcsac],
+        [make.choose(method) for method in chosen],
+        [make.train(method) for method in chosen],
+        [make.offline_data("replay", 0, None) for _ in iql],
+        [make.iql() for _ in iql],
         [
             make.plug(policy, form)
             for form in PLUGGED
@@ -214,23 +218,36 @@ class _Jobs:
             "--threshold", *map(str, candidates), "sac",
         )  # fmt: skip
 
-    def choose(self, form: str) -> Job:
-        part = f"select/{form}/threshold.json"
+    def select_limit(self) -> Job:
+        config = self.config
+        return self._train(
+            "select/wcsac", (), config.selection_seeds, config.limit_selection_steps,
+            *self._wcsac(), "--cost-limit", *map(str, config.limits),
+        )  # fmt: skip
+
+    def _wcsac(self) -> tuple[str, ...]:
+        return ("wcsac", "--sharpness", str(self.config.sharpness))
+
+    def choose(self, method: str) -> Job:
+        part = f"select/{method}/threshold.json"
         return self._job(
-            part, (f"select/{form}", "data/sac"), "choose-threshold",
-            "--run-folder", str(self.folder / "select" / form),
+            part, (f"select/{method}", "data/sac"), "choose-threshold",
+            "--run-folder", str(self.folder / "select" / method),
             "--baseline", str(self.folder / "data/sac"), "--out", str(self.folder / part),
             "--share", str(self.config.safety_share), result="",
         )  # fmt: skip
 
-    def train_sac(self, method: str) -> Job:
-        return self._train(f"train/{method}", (), self.config.seeds, self.config.steps, method)
+    def train_sac(self) -> Job:
+        return self._train("train/sac", (), self.config.seeds, self.config.steps, "sac")
 
-    def train(self, form: str) -> Job:
-        chosen = f"select/{form}/threshold.json"
+    def train(self, method: str) -> Job:
+        """Behind what was chosen for a form, or under the limit that was chosen for WCSAC."""
+        form = method != "wcsac"
+        chosen = f"select/{method}/threshold.json"
         return self._train(
-            f"train/{form}", (f"pretrain/{form}", chosen), self.config.seeds, self.config.steps,
-            *self._safety(form), "--threshold-from", str(self.folder / chosen), "sac",
+            f"train/{method}", (*((f"pretrain/{method}",) if form else ()), chosen),
+            self.config.seeds, self.config.steps, *(self._safety(method) if form else ()),
+            "--threshold-from", str(self.folder / chosen), *(("sac",) if form else self._wcsac()),
         )  # fmt: skip
 
     def ablation(self, form: str) -> Job:

@@ -1,4 +1,4 @@
-"""epsilon, chosen on seeds of its own so that the methods are comparably safe.
+"""epsilon, or WCSAC's cost limit, chosen on other seeds so that methods are comparably safe.
 
 The paper adapts each method's epsilon until the methods are about equally safe and then
 compares what they return. Here: short training runs, one candidate a seed, and
@@ -27,7 +27,7 @@ class Choice:
     """A threshold, and why.
 
     Attributes:
-        threshold: epsilon.
+        threshold: epsilon, or a cost limit.
         allowed: violations that were allowed.
         candidates: (threshold, violations) pairs that were tried.
         met: whether the choice stays within ``allowed``.
@@ -56,7 +56,7 @@ def choose_threshold(run: Path, baseline: Path, share: float) -> Choice:
     content = read_object(result, "seeds", "budget")
     tried = [(entry["threshold"], entry["tv"]) for entry in content["seeds"]]
     if any(threshold is None for threshold, _ in tried):
-        raise ValueError(f"{run}: a run without correction has no threshold to choose")
+        raise ValueError(f"{run}: without correction or cost limit there is nothing to choose")
     if any(violations is None for _, violations in tried):
         raise ValueError(f"{run}: nothing was trained there, so no violations were counted")
     allowed = share * _violations(baseline, content["budget"]["env_steps"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -38,7 +38,8 @@ class Train:
 
     Attributes:
         out: the run folder; the same command goes on where it stopped.
-        threshold_from: take the threshold from a file that choose-threshold wrote.
+        threshold_from: take epsilon, or WCSAC's cost limit, from a file that choose-threshold
+            wrote.
         run_config: the run.
     """
 
@@ -52,7 +53,7 @@ class Train:
         if self.threshold_from is not None:
             if config.threshold is not None:
                 raise ValueError("give either threshold or threshold_from")
-            config = replace(config, threshold=(read_threshold(self.threshold_from),))
+            config = config.with_threshold(read_threshold(self.threshold_from))
         for line in seed_lines(train(config, self.out).seeds):
             print(line)
         print(self.out / "result.json")
@@ -149,7 +150,7 @@ class OfflineData:
 
 @dataclass(frozen=True)
 class ChooseThreshold:
-    """Choose epsilon from short runs, so that the methods are comparably safe.
+    """Choose epsilon, or WCSAC's cost limit, so that the methods are comparably safe.
 
     Attributes:
         run_folder: a finished training run with another threshold for each seed.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
@@ -108,6 +108,12 @@ class TrainConfig:
                 f"{len(self.threshold)} thresholds for {len(self.seeds)} seeds: give one, "
                 "or one each"
             )
+
+    def with_threshold(self, threshold: float) -> TrainConfig:
+        """With this epsilon behind a correction, or this cost limit of WCSAC."""
+        if self.safety is None and isinstance(self.method, WcsacSettings):
+            return replace(self, method=replace(self.method, cost_limit=(threshold,)))
+        return replace(self, threshold=(threshold,))
 
     @property
     def thresholds(self) -> tuple[float, ...] | None:

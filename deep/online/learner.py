@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import torch
 from torch import Tensor, nn
 
 from deep.networks import GaussianPolicy
+from deep.safety_filter import Normalisation
 
-__all__ = ["TaskBatch", "TaskLearner", "TaskLosses", "TaskSettings"]
+__all__ = ["NormalisationOf", "TaskBatch", "TaskLearner", "TaskLosses", "TaskSettings"]
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,10 @@ class TaskSettings:
         """What is left of the learning rate after this part of training, in [0, 1]."""
         slid = max(progress - 0.5, 0.0) / 0.5
         return 1 - slid * (1 - self.final_rate)
+
+
+NormalisationOf: TypeAlias = Callable[[float], Sequence[Normalisation]]
+"""Sharpness -> each seed's normalisation of observations."""
 
 
 class TaskBatch(NamedTuple):
@@ -102,6 +107,17 @@ class TaskLearner(nn.Module, ABC):
         if not seeds or len(set(seeds)) != len(seeds) or min(seeds) < 0:
             raise ValueError(f"seeds must be distinct non-negative integers, not {list(seeds)}")
         self.seeds = tuple(seeds)
+
+    def look(self, normalisation: NormalisationOf) -> None:
+        """Observations are about to be normalised by ``normalisation(1)``; called once.
+
+        For learners with networks that see them sharpened; ``normalisation(power)`` is how.
+        """
+
+    @property
+    def limits(self) -> tuple[float, ...] | None:
+        """What keeps each seed's policy safe by itself; None: nothing does."""
+        return None
 
     def slow_down(self, progress: float) -> None:
         """Set the learning rates for this part of training in [0, 1)."""

@@ -23,7 +23,7 @@ from deep.checkpoint import load_checkpoint, save_checkpoint
 from deep.data import Transitions
 from deep.folder import CsvLog, InterruptAfterUpdate, fingerprint
 from deep.formats import read_hdf5
-from deep.normalise import centre_and_scale, normalise
+from deep.normalise import normalisation_of_observations, normalise
 from deep.online.fleet import check_fit, task_sizes
 from deep.online.iql import Iql, IqlSettings
 from deep.online.learner import TaskBatch, TaskLosses
@@ -137,9 +137,8 @@ class _Run:
         sizes = task_sizes(config.task)
         data = read_hdf5(config.data)
         _check_fit(config, data, sizes)
-        centre, scale = centre_and_scale(data.observations)
-        raw = Normalisation.identity(*sizes)  # a task's actions fill [-1, 1]
-        self.normalisation = Normalisation(centre, scale, raw.action_centre, raw.action_scale)
+        # A task's actions fill [-1, 1]: they stay as they are.
+        self.normalisation = normalisation_of_observations(data.observations, sizes.action)
         self.batches = Batches(
             [normalise(data, self.normalisation)],
             config.seeds,

@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 
 from deep.data import Transitions
-from deep.normalise import centre_and_scale
+from deep.normalise import normalisation_of_observations
 from deep.online.learner import TaskBatch
 from deep.safety_filter import Normalisation
 
@@ -125,21 +125,18 @@ class Replay:
         """Hand what was written to the disk."""
         self._rows.flush()
 
-    def normalisation(self, steps: int) -> tuple[Normalisation, ...]:
+    def normalisation(self, steps: int, sharpness: float = 1.0) -> tuple[Normalisation, ...]:
         """Each seed's, from its observations; actions as they are.
+
+        With closenesses to the power ``sharpness``, see :mod:`deep.normalise`.
 
         Of the last ``capacity`` of the first ``steps`` steps: older rows may be those of a
         stretch that was lost.
         """
         o, a = self._dims
-        identity = Normalisation.identity(o, a)
         kept = np.arange(max(steps - self.capacity, 0) * self.copies, steps * self.copies)
         seen = self._rows[:, kept % self._rows.shape[1], :o]
-        scales = [centre_and_scale(rows) for rows in seen]
-        return tuple(
-            Normalisation(centre, scale, identity.action_centre, identity.action_scale)
-            for centre, scale in scales
-        )
+        return tuple(normalisation_of_observations(rows, a, sharpness) for rows in seen)
 
     def transitions(self, seed: int, steps: int) -> Transitions:
         """A seed's transitions of the first ``steps`` steps, copy by copy, raw.

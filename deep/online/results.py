@@ -160,7 +160,10 @@ def seed_entry(
     training_arr: float | None,
     threshold: float | None,
 ) -> dict[str, Any]:
-    """A seed's part of ``result.json``: what training counted, and the evaluation's metrics."""
+    """A seed's part of ``result.json``: what training counted, and the evaluation's metrics.
+
+    ``threshold`` is epsilon behind a correction, and WCSAC's cost limit.
+    """
     return {
         "seed": seed,
         "tv": tv,

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from deep.safety_filter import Normalisation
 
-__all__ = ["Scaling"]
+__all__ = ["Scaling", "columns"]
 
 
 class Scaling:
@@ -21,12 +21,12 @@ class Scaling:
 
     def __init__(self, normalisation: Sequence[Normalisation]) -> None:
         self.normalisation = tuple(normalisation)
-        self._centre = _columns(n.observation_centre for n in normalisation)
-        self._scale = _columns(n.observation_scale for n in normalisation)
-        self._action_centre = _columns(n.action_centre for n in normalisation)
-        self._action_scale = _columns(n.action_scale for n in normalisation)
+        self._centre = columns(n.observation_centre for n in normalisation)
+        self._scale = columns(n.observation_scale for n in normalisation)
+        self._action_centre = columns(n.action_centre for n in normalisation)
+        self._action_scale = columns(n.action_scale for n in normalisation)
         ones = (1.0,) * self._centre.shape[-1]
-        self._power = _columns(n.observation_power or ones for n in normalisation)
+        self._power = columns(n.observation_power or ones for n in normalisation)
         self._sharp = bool((self._power != 1).any())
 
     def observation(self, raw: Tensor) -> Tensor:
@@ -44,6 +44,6 @@ class Scaling:
         return action * self._action_scale + self._action_centre
 
 
-def _columns(rows: Iterable[Sequence[float]]) -> Tensor:
+def columns(rows: Iterable[Sequence[float]]) -> Tensor:
     """(K, 1, n) from K rows."""
     return torch.tensor(list(rows), dtype=torch.float32)[:, None]

@@ -17,6 +17,7 @@ from __future__ import annotations
 import json
 import time
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -192,6 +193,7 @@ class _Run:
         steps = self.step * config.copies
         if self.scaling is None and steps >= config.start_steps:
             self.scaling = Scaling(self.replay.normalisation(self.step))
+            self.learner.look(partial(self.replay.normalisation, self.step))
         due = max(0, steps - config.start_steps) // config.steps_per_update
         losses = None
         while self.updates < due:
@@ -259,6 +261,7 @@ class _Run:
         found = evaluate(config.task, policies, filters, config.episodes)
         save_all(self.folder / "policies", config.seeds, policies)
         save_all(self.folder / "filters", config.seeds, filters)
+        thresholds = [f.threshold for f in filters] or self.learner.limits
         seeds = [
             seed_entry(
                 seed,
@@ -266,7 +269,7 @@ class _Run:
                 tv=int(counts.violations[k]),
                 episodes=int(counts.episodes[k]),
                 training_arr=float(counts.interventions[k] / config.steps),
-                threshold=filters[k].threshold if filters else None,
+                threshold=thresholds[k] if thresholds else None,
             )
             for k, (seed, evaluated) in enumerate(zip(config.seeds, found, strict=True))
         ]

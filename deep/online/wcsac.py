@@ -21,6 +21,7 @@ is at most the standard deviation (Jensen's inequality).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
@@ -32,13 +33,16 @@ from torch import Tensor, nn
 
 from deep.losses import q_loss, q_target
 from deep.networks import ActionValue, GaussianPolicy, copy_slowly
-from deep.online.learner import TaskBatch, TaskLearner, TaskLosses
+from deep.online.learner import NormalisationOf, TaskBatch, TaskLearner, TaskLosses
 from deep.online.sac import SacSettings, soft_target
+from deep.online.scaling import columns
 from deep.pretrain.learner import Sizes, adam, minimise
+from deep.safety_filter import Normalisation
 
 __all__ = [
     "CostEstimate",
     "DistributionalCritic",
+    "Sharpened",
     "Wcsac",
     "WcsacSettings",
     "tail_weight",
@@ -64,14 +68,18 @@ class WcsacSettings(SacSettings):
     Attributes:
         gamma_safe: gamma_c, discount of the cost.
         risk_level: alpha in (0, 1], the worst share of episodes that counts; 1: all.
-        cost_limit: d.
+        cost_limit: d, one for all seeds or one each.
+        sharpness: the cost critic sees coordinates in [0, 1], such as lidars' closenesses,
+            to this power, as the safety critics of Algorithm 1 can
+            (:class:`deep.config.PretrainConfig`).
         multiplier_rate: Adam's learning rate of lambda, which weighs CVaR against scaled
             rewards and begins at 0.
     """
 
     gamma_safe: float = 0.99
     risk_level: float = 0.5
-    cost_limit: float = 0.045
+    cost_limit: tuple[float, ...] = (0.045,)
+    sharpness: float = 1.0
     multiplier_rate: float = 0.05
 
     def __post_init__(self) -> None:
@@ -79,8 +87,10 @@ class WcsacSettings(SacSettings):
         for name in ("gamma_safe", "risk_level"):
             if not 0 < getattr(self, name) <= 1:
                 raise ValueError(f"{name} must lie in (0, 1], not {getattr(self, name)}")
-        if self.cost_limit < 0:
+        if not self.cost_limit or min(self.cost_limit) < 0:
             raise ValueError(f"cost_limit must not be negative, not {self.cost_limit}")
+        if not 1 <= self.sharpness < math.inf:
+            raise ValueError(f"sharpness must be at least 1 and finite, not {self.sharpness}")
         if self.multiplier_rate <= 0:
             raise ValueError(f"multiplier_rate must be positive, not {self.multiplier_rate}")
 
@@ -102,6 +112,41 @@ def tail_weight(risk_level: float) -> float:
         return 0.0
     normal = NormalDist()
     return normal.pdf(normal.inv_cdf(risk_level)) / risk_level
+
+
+class Sharpened(nn.Module):
+    """Standardised observations (K, B, o) -> the same with closenesses raised to a power.
+
+    What standardised them is undone, and the powers are standardised. Nothing is changed until
+    both are known; they belong to a checkpoint.
+    """
+
+    scale: Tensor
+    centre: Tensor
+    power: Tensor
+    sharp_scale: Tensor
+    sharp_centre: Tensor
+
+    def __init__(self, seeds: int, dim: int) -> None:
+        super().__init__()
+        for name in ("scale", "power", "sharp_scale"):
+            self.register_buffer(name, torch.ones(seeds, 1, dim))
+        for name in ("centre", "sharp_centre"):
+            self.register_buffer(name, torch.zeros(seeds, 1, dim))
+
+    def set(self, plain: Sequence[Normalisation], sharp: Sequence[Normalisation]) -> None:
+        """Each seed's normalisation of what comes, and of what is wanted."""
+        self.scale.copy_(columns(n.observation_scale for n in plain))
+        self.centre.copy_(columns(n.observation_centre for n in plain))
+        self.power.copy_(columns(n.observation_power for n in sharp))
+        self.sharp_scale.copy_(columns(n.observation_scale for n in sharp))
+        self.sharp_centre.copy_(columns(n.observation_centre for n in sharp))
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """(K, B, o) -> (K, B, o)."""
+        raw = observation * self.scale + self.centre
+        powered = torch.where(self.power != 1, raw.clamp(min=0) ** self.power, raw)
+        return (powered - self.sharp_centre) / self.sharp_scale
 
 
 class DistributionalCritic(nn.Module):
@@ -142,6 +187,7 @@ class Wcsac(TaskLearner):
 
     Attributes:
         cost_critic: mean and variance of the discounted cost.
+        view: of observations, the cost critic's.
         multiplier: lambda, (K,).
     """
 
@@ -149,7 +195,13 @@ class Wcsac(TaskLearner):
 
     def __init__(self, settings: WcsacSettings, sizes: Sizes, seeds: Sequence[int]) -> None:
         super().__init__(seeds)
+        if len(settings.cost_limit) not in (1, len(seeds)):
+            raise ValueError(
+                f"{len(settings.cost_limit)} cost limits for {len(seeds)} seeds: give one, "
+                "or one each"
+            )
         self.settings: WcsacSettings = settings
+        self.view = Sharpened(len(seeds), sizes.observation)
         self.critic = ActionValue(seeds, *sizes, settings.hidden)
         self.critic_target = deepcopy(self.critic).requires_grad_(False)
         self.cost_critic = DistributionalCritic(seeds, sizes, settings.hidden)
@@ -157,11 +209,17 @@ class Wcsac(TaskLearner):
         self.policy = GaussianPolicy(seeds, *sizes, settings.hidden, name="task policy")
         self.multiplier = nn.Parameter(torch.zeros(len(seeds)))
         self._tail_weight = tail_weight(settings.risk_level)
+        self._limit = torch.tensor(self.limits)
         trained = (self.critic, self.cost_critic, self.policy)
         self._optimizers = (
             *(adam(module, settings.learning_rate) for module in trained),
             torch.optim.Adam([self.multiplier], lr=settings.multiplier_rate),
         )
+
+    def look(self, normalisation: NormalisationOf) -> None:
+        """Sharpen what the cost critic sees."""
+        if self.settings.sharpness != 1:
+            self.view.set(normalisation(1.0), normalisation(self.settings.sharpness))
 
     def update(self, batch: TaskBatch) -> TaskLosses:
         """One step of both critics, of the policy, of lambda, and of the targets."""
@@ -175,9 +233,10 @@ class Wcsac(TaskLearner):
             target = soft_target(batch, settings, next_value, next_log_prob)
         critic_loss = minimise(critic_optimizer, q_loss(self.critic(s, a), target))
 
-        cost = self.cost_critic(s, a)
+        seen = self.view(s)
+        cost = self.cost_critic(seen, a)
         with torch.no_grad():
-            after = self.cost_critic_target(following, next_action)
+            after = self.cost_critic_target(self.view(following), next_action)
             mean_target = q_target(batch.cost, batch.terminal, settings.gamma_safe, after.mean)
             spread_target = variance_target(
                 batch.cost, batch.terminal, settings.gamma_safe, after, cost.mean
@@ -190,19 +249,25 @@ class Wcsac(TaskLearner):
 
         action, log_prob = self.policy.sample(s, batch.noise)
         value = self.critic.least(s, action)
-        tail = self.cost_critic(s, action).tail_mean(self._tail_weight)
+        tail = self.cost_critic(seen, action).tail_mean(self._tail_weight)
         penalty = self.multiplier.detach()[:, None] * tail
         policy_loss = minimise(
             policy_optimizer, (settings.temperature * log_prob - value + penalty).mean(dim=-1)
         )
 
-        excess = tail.detach().mean(dim=-1) - settings.cost_limit
+        excess = tail.detach().mean(dim=-1) - self._limit
         minimise(multiplier_optimizer, -self.multiplier * excess)
         with torch.no_grad():
             self.multiplier.clamp_(min=0)
         copy_slowly(self.critic, self.critic_target, settings.polyak)
         copy_slowly(self.cost_critic, self.cost_critic_target, settings.polyak)
         return TaskLosses(critic_loss, policy_loss)
+
+    @property
+    def limits(self) -> tuple[float, ...]:
+        """d of each seed."""
+        given = self.settings.cost_limit
+        return given * (len(self.seeds) // len(given))
 
     @property
     def optimizers(self) -> tuple[torch.optim.Optimizer, ...]:

@@ -326,8 +326,10 @@ def test_finetuning_begins_with_the_first_update(tmp_path: Path, rrl: Path) -> N
 
 
 def test_other_learners_and_corrections_run_too(tmp_path: Path, rrl: Path) -> None:
-    wcsac = replace(TINY, method=WcsacSettings(hidden=(8,), batch_size=16), seeds=(0,))
-    assert train(wcsac, tmp_path / "wcsac", quiet=True).method == "wcsac"
+    settings = WcsacSettings(hidden=(8,), batch_size=16, cost_limit=(0.3, 0.1), sharpness=24)
+    wcsac = train(replace(TINY, method=settings), tmp_path / "wcsac", quiet=True)
+    assert wcsac.method == "wcsac"
+    assert [seed["threshold"] for seed in wcsac.seeds] == [0.3, 0.1]
     frozen = replace(TINY, seeds=(0,), safety=rrl, finetune=False)
     assert train(frozen, tmp_path / "frozen", quiet=True).method == "rrl"
     path = Path("filters") / "seed0.safetensors"

@@ -10,6 +10,7 @@ from deep.__main__ import parse
 from deep.config import PretrainConfig
 from deep.grid import Job
 from deep.online.commands import ChooseThreshold, Evaluate, OfflineData, Train, TrainOffline
+from deep.online.wcsac import WcsacSettings
 from deep.study import FORMS, METHODS, StudyConfig, study_jobs
 
 CONFIG = StudyConfig(
@@ -82,10 +83,19 @@ def test_thresholds_are_chosen_on_seeds_that_no_result_comes_from() -> None:
         if name.startswith("real-"):
             continue
         assert seeds == set(CONFIG.seeds)
-        form = name.rpartition("/")[2]
-        if "/train/" in name and form in FORMS:
-            task = name.partition("/")[0]
-            assert command.threshold_from == Path("study", task, "select", form, "threshold.json")
+        method = name.rpartition("/")[2]
+        if "/train/" in name and method in (*FORMS, "wcsac"):
+            chosen = Path("study", name.partition("/")[0], "select", method, "threshold.json")
+            assert command.threshold_from == chosen
+
+
+def test_wcsac_tries_a_limit_a_seed_and_sees_lidars_as_the_others_critics_do() -> None:
+    for part, limits in (("select", CONFIG.limits), ("train", WcsacSettings().cost_limit)):
+        command = parse(JOBS[f"static-env/{part}/wcsac"].command)
+        assert isinstance(command, Train)
+        assert command.run_config.method == WcsacSettings(sharpness=24, cost_limit=limits)
+        chosen = command.run_config.with_threshold(0.1).method
+        assert chosen == WcsacSettings(sharpness=24, cost_limit=(0.1,))
 
 
 def test_the_real_task_is_run_behind_what_its_twin_was_pretrained_to() -> None:
@@ -111,9 +121,10 @@ def test_fewer_methods_make_fewer_jobs() -> None:
 def test_configurations_that_make_no_sense_are_refused() -> None:
     with pytest.raises(ValueError, match="there is no method 'ppo'; there are sac, dea-rrl"):
         StudyConfig(out=Path("s"), methods=("ppo",))
-    with pytest.raises(ValueError, match="epsilon must be chosen on other seeds"):
+    with pytest.raises(ValueError, match="thresholds must be chosen on other seeds"):
         StudyConfig(out=Path("s"), selection_seeds=(3, 101, 102, 103))
     with pytest.raises(ValueError, match="real_tasks: 'car-goal1' is not one of the study's"):
         StudyConfig(out=Path("s"), real_tasks=("car-goal1",))
-    with pytest.raises(ValueError, match="2 candidates of epsilon for 4 selection_seeds"):
-        StudyConfig(out=Path("s"), candidates=(0.1, 0.3))
+    for name in ("candidates", "annealed_candidates", "limits"):
+        with pytest.raises(ValueError, match=f"{name}: 2 for 4 selection_seeds: give one each"):
+            StudyConfig(out=Path("s"), **{name: (0.1, 0.3)})  # type: ignore[arg-type]  # by name

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from torch import Tensor
 
 import deep.online.wcsac
 from deep.checkpoint import load_checkpoint, save_checkpoint
+from deep.normalise import normalisation_of_observations
 from deep.online.config import (
     TrainConfig,
     build_task_learner,
@@ -23,6 +25,7 @@ from deep.online.config import (
 )
 from deep.online.learner import TaskBatch
 from deep.online.sac import Sac, SacSettings
+from deep.online.scaling import Scaling
 from deep.online.wcsac import (
     CostEstimate,
     Wcsac,
@@ -32,6 +35,7 @@ from deep.online.wcsac import (
     variance_target,
 )
 from deep.pretrain.learner import Sizes
+from deep.safety_filter import Normalisation
 
 Costs = Callable[[np.random.Generator, int], np.ndarray]
 SIZES = Sizes(3, 1)
@@ -200,7 +204,7 @@ def test_a_chance_of_violation_has_the_mean_root_of_its_sampled_variances(
 
 
 def test_while_the_multiplier_is_zero_it_is_sac() -> None:
-    wcsac = Wcsac(replace(SMALL, cost_limit=100.0), SIZES, (4,))
+    wcsac = Wcsac(replace(SMALL, cost_limit=(100.0,)), SIZES, (4,))
     sac = Sac(unconstrained(SMALL), SIZES, (4,))
     for update in range(5):
         losses = [learner.update(random_batch(update)) for learner in (wcsac, sac)]
@@ -211,7 +215,7 @@ def test_while_the_multiplier_is_zero_it_is_sac() -> None:
 
 
 def test_the_multiplier_rises_where_the_limit_is_exceeded_and_falls_to_zero_elsewhere() -> None:
-    learner = Wcsac(replace(SMALL, cost_limit=0.2), SIZES, (0, 1))
+    learner = Wcsac(replace(SMALL, cost_limit=(0.2,)), SIZES, (0, 1))
     with torch.no_grad():
         learner.multiplier.fill_(0.1)
     for update in range(300):
@@ -243,16 +247,82 @@ def test_the_policy_meets_the_limit_that_reward_speaks_against() -> None:
                 shares.append(float((learner.policy.sample(states, noise)[0] > 0).float().mean()))
         return float(np.mean(shares[300:]))
 
-    settings = replace(SMALL, risk_level=1.0, cost_limit=0.2, multiplier_rate=0.01)
+    settings = replace(SMALL, risk_level=1.0, cost_limit=(0.2,), multiplier_rate=0.01)
     constrained = Wcsac(settings, SIZES, (0,))
     assert violating_share(Sac(unconstrained(settings), SIZES, (0,))) > 0.8
     assert 0.02 < violating_share(constrained) < 0.25
     assert constrained.multiplier.item() > 0.5
 
 
+def test_every_seed_can_have_a_limit_of_its_own() -> None:
+    learner = Wcsac(replace(SMALL, cost_limit=(0.0, 2.0)), SIZES, (0, 1))
+    assert learner.limits == (0.0, 2.0)
+    assert Wcsac(replace(SMALL, cost_limit=(0.3,)), SIZES, (0, 1)).limits == (0.3, 0.3)
+    with torch.no_grad():
+        learner.multiplier.fill_(0.5)
+    for update in range(100):
+        learner.update(together([chain(update, always)] * 2))
+    assert learner.multiplier[0].item() > 1
+    assert learner.multiplier[1].item() == 0.0
+    with pytest.raises(ValueError, match="^2 cost limits for 3 seeds: give one, or one each$"):
+        Wcsac(replace(SMALL, cost_limit=(0.1, 0.2)), SIZES, (0, 1, 2))
+
+
+def lidar_like(sharpness: float) -> Sequence[Normalisation]:
+    """Two seeds' normalisations of (a speed, a closeness, a closeness)."""
+    rng = np.random.default_rng(5)
+    seen = [rng.random((50, 3)) * [-4, 1, 1] for _ in range(2)]
+    return [normalisation_of_observations(x.astype(np.float32), 1, sharpness) for x in seen]
+
+
+def test_the_cost_critic_sees_closenesses_to_a_power() -> None:
+    learner = Wcsac(replace(SMALL, sharpness=8.0), SIZES, (0, 1))
+    raw = torch.tensor([[[-3.0, 0.5, 0.9]], [[-1.0, 0.0, 1.0]]])
+    standardised = Scaling(lidar_like(1.0)).observation(raw)
+    assert learner.view(standardised).equal(standardised)  # before it is told
+    learner.look(lidar_like)
+    expected = Scaling(lidar_like(8.0)).observation(raw)
+    assert learner.view(standardised).numpy() == pytest.approx(expected.numpy(), abs=1e-4)
+    assert not learner.view(standardised)[..., 1:].allclose(standardised[..., 1:], atol=0.01)
+    again = Wcsac(replace(SMALL, sharpness=8.0), SIZES, (0, 1))
+    again.load_state_dict(learner.state_dict())  # as a resumed run does
+    assert again.view(standardised).equal(learner.view(standardised))
+
+
+def test_only_the_cost_critic_sees_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """While the multiplier is zero nothing else changes, and with sharpness 1 nothing at all."""
+    harmless = replace(SMALL, cost_limit=(100.0,))
+    sharp, plain = (Wcsac(replace(harmless, sharpness=s), SIZES, (4,)) for s in (8.0, 1.0))
+    for learner in (sharp, plain):
+        learner.look(lambda sharpness: lidar_like(sharpness)[:1])
+    untouched = Wcsac(harmless, SIZES, (4,))
+    for update in range(3):
+        batch = random_batch(update)
+        losses = [learner.update(batch) for learner in (sharp, plain, untouched)]
+        assert losses[0].policy.equal(losses[1].policy)
+    s, a = random_batch(9).observation, random_batch(9).action
+    means = [learner.cost_critic(s, a).mean for learner in (sharp, plain, untouched)]
+    assert not means[0].equal(means[1])
+    assert means[1].equal(means[2])
+    seen: list[Tensor] = []
+    forward = sharp.cost_critic.forward
+
+    def watched(observation: Tensor, action: Tensor) -> CostEstimate:
+        seen.append(observation)
+        return forward(observation, action)
+
+    for critic in (sharp.cost_critic, sharp.cost_critic_target):
+        monkeypatch.setattr(critic, "forward", watched)
+    batch = random_batch(10)
+    sharp.update(batch)
+    views = [sharp.view(batch.observation), sharp.view(batch.next_observation)]
+    assert [x.equal(views[0]) for x in seen] == [True, False, True]  # s, s', and s once more
+    assert seen[1].equal(views[1])
+
+
 def test_a_seed_learns_the_same_alone() -> None:
-    both = Wcsac(replace(SMALL, cost_limit=0.0), SIZES, (3, 8))
-    alone = Wcsac(replace(SMALL, cost_limit=0.0), SIZES, (8,))
+    both = Wcsac(replace(SMALL, cost_limit=(0.0,)), SIZES, (3, 8))
+    alone = Wcsac(replace(SMALL, cost_limit=(0.0,)), SIZES, (8,))
     for update in range(10):
         own = random_batch(100 + update)
         both.update(together([random_batch(update), own]))
@@ -264,7 +334,7 @@ def test_a_seed_learns_the_same_alone() -> None:
 
 
 def test_a_checkpoint_holds_the_multiplier_and_its_speed(tmp_path: Path) -> None:
-    settings = replace(SMALL, cost_limit=0.0)
+    settings = replace(SMALL, cost_limit=(0.0,))
     whole, first, second = (Wcsac(settings, SIZES, (3,)) for _ in range(3))
     for update in range(6):
         whole.update(random_batch(update))
@@ -284,12 +354,15 @@ def test_a_checkpoint_holds_the_multiplier_and_its_speed(tmp_path: Path) -> None
         ({"gamma_safe": 0.0}, r"gamma_safe must lie in \(0, 1\], not 0.0"),
         ({"risk_level": 0.0}, r"risk_level must lie in \(0, 1\], not 0.0"),
         ({"risk_level": 1.5}, r"risk_level must lie in \(0, 1\], not 1.5"),
-        ({"cost_limit": -0.1}, "cost_limit must not be negative, not -0.1"),
+        ({"cost_limit": (0.1, -0.1)}, r"cost_limit must not be negative, not \(0.1, -0.1\)"),
+        ({"cost_limit": ()}, r"cost_limit must not be negative, not \(\)"),
+        ({"sharpness": 0.5}, "sharpness must be at least 1 and finite, not 0.5"),
+        ({"sharpness": math.inf}, "sharpness must be at least 1 and finite, not inf"),
         ({"multiplier_rate": 0.0}, "multiplier_rate must be positive, not 0.0"),
         ({"temperature": -1.0}, "temperature must not be negative, not -1.0"),
     ],
 )
-def test_settings_that_make_no_sense(wrong: dict[str, float], message: str) -> None:
+def test_settings_that_make_no_sense(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=f"^{message}$"):
         WcsacSettings(**wrong)
 
