@@ -23,6 +23,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deep.grid import Job
+from deep.online.config import TrainConfig
+from deep.online.fleet import GYM, REAL
+from deep.tasks import make_task
 
 __all__ = ["FORMS", "METHODS", "StudyConfig", "study_jobs"]
 
@@ -40,6 +43,10 @@ PLUGGED = ("rrl", "dea-rrl", "dea-rrl-annealed")
 @dataclass(frozen=True)
 class StudyConfig:
     """What is run, and how much of it.
+
+    Raises:
+        ValueError: for unknown tasks or methods, seeds that choose and are judged, or numbers
+            that do not go together.
 
     Attributes:
         out: the study's folder.
@@ -64,7 +71,7 @@ class StudyConfig:
         annealed_candidates: of epsilon for dea-rrl-annealed, whose gamma_safe is H / (H + 1).
         limits: candidates of WCSAC's cost limit.
         safety_share: chosen is the largest one with at most this share of SAC's violations.
-        ablation_task: where the forms are compared at one epsilon.
+        ablation_task: where the forms are compared at one epsilon, if it is among the tasks.
         ablation_threshold: that epsilon (the paper's).
         ablation_steps: environment steps of those runs.
         real_tasks: of the tasks, those that are run on Safety-Gymnasium's own too.
@@ -98,6 +105,9 @@ class StudyConfig:
     real_episodes: int = 100
 
     def __post_init__(self) -> None:
+        for task in self.tasks:
+            if not task.startswith((REAL, GYM)):
+                make_task(task)
         alien = [task for task in self.real_tasks if task not in self.tasks]
         if alien:
             raise ValueError(f"real_tasks: {alien[0]!r} is not one of the study's tasks")
@@ -106,6 +116,14 @@ class StudyConfig:
             raise ValueError(f"there is no method {unknown[0]!r}; there are {', '.join(METHODS)}")
         if set(self.seeds) & set(self.selection_seeds):
             raise ValueError("thresholds must be chosen on other seeds than the results'")
+        log_every = TrainConfig.log_every
+        for name in ("selection_steps", "limit_selection_steps"):
+            steps = getattr(self, name)
+            if not 0 < steps <= self.steps or steps % log_every:
+                raise ValueError(
+                    f"{name} must be a multiple of {log_every}, where SAC's violations are "
+                    f"written down, and at most steps ({self.steps}), not {steps}"
+                )
         for name in ("candidates", "annealed_candidates", "limits"):
             if len(getattr(self, name)) != len(self.selection_seeds):
                 raise ValueError(

@@ -125,6 +125,14 @@ def test_configurations_that_make_no_sense_are_refused() -> None:
         StudyConfig(out=Path("s"), selection_seeds=(3, 101, 102, 103))
     with pytest.raises(ValueError, match="real_tasks: 'car-goal1' is not one of the study's"):
         StudyConfig(out=Path("s"), real_tasks=("car-goal1",))
+    with pytest.raises(ValueError, match="there is no task 'point-gaol1'; there are brake"):
+        StudyConfig(out=Path("s"), tasks=("point-gaol1",))
+    assert StudyConfig(out=Path("s"), tasks=("gym:Pendulum-v1",)).tasks == ("gym:Pendulum-v1",)
+    for name, steps in (("selection_steps", 15_000), ("limit_selection_steps", 2_000_000)):
+        with pytest.raises(
+            ValueError, match=rf"{name} must be a multiple of 10000, where.*{steps}"
+        ):
+            StudyConfig(out=Path("s"), **{name: steps})  # type: ignore[arg-type]  # by name
     for name in ("candidates", "annealed_candidates", "limits"):
         with pytest.raises(ValueError, match=f"{name}: 2 for 4 selection_seeds: give one each"):
             StudyConfig(out=Path("s"), **{name: (0.1, 0.3)})  # type: ignore[arg-type]  # by name
