@@ -12,6 +12,7 @@ from typing import Any
 
 from deep.folder import read_object
 from deep.online.fleet import check_fit, task_sizes
+from deep.online.pretrained import load_filters
 from deep.online.results import evaluate, seed_entry, write_result
 from deep.pretrain.learner import Sizes
 from deep.safety_filter import SafetyFilter
@@ -92,5 +93,5 @@ def evaluate_policies(
 
 
 def _filters(safety: Path, seeds: Sequence[int], threshold: float | None) -> list[SafetyFilter]:
-    loaded = [SafetyFilter.load(safety / "filters" / f"seed{seed}.safetensors") for seed in seeds]
+    loaded = load_filters(safety, seeds)
     return loaded if threshold is None else [gate.with_threshold(threshold) for gate in loaded]

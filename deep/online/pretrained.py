@@ -19,7 +19,7 @@ from deep.pretrain.learner import Sizes
 from deep.run import load_raw, read_run
 from deep.safety_filter import SafetyFilter
 
-__all__ = ["build_gate"]
+__all__ = ["build_gate", "load_filters"]
 
 
 def build_gate(config: TrainConfig, sizes: Sizes) -> Gate:
@@ -68,12 +68,25 @@ def _filters(
             f"{config.safety}: seed {unknown[0]} was not pretrained; there are "
             f"{', '.join(map(str, pretrained.seeds))}"
         )
-    filters = [
-        SafetyFilter.load(config.safety / "filters" / f"seed{seed}.safetensors") for seed in seeds
-    ]
+    filters = load_filters(config.safety, seeds)
     if config.thresholds is None:
         return filters
     return [f.with_threshold(t) for f, t in zip(filters, config.thresholds, strict=True)]
+
+
+def load_filters(folder: Path, seeds: Sequence[int]) -> list[SafetyFilter]:
+    """The filters of these seeds in a run's folder.
+
+    Raises:
+        ValueError: if there is none of a seed, or a broken one.
+    """
+    filters = []
+    for seed in seeds:
+        name = f"filters/seed{seed}.safetensors"
+        if not (folder / name).is_file():
+            raise ValueError(f"{folder}: not a finished pretraining run of seed {seed} (no {name})")
+        filters.append(SafetyFilter.load(folder / name))
+    return filters
 
 
 def _learner(

@@ -304,7 +304,10 @@ def test_pretraining_that_does_not_fit_is_refused(rrl: Path, tmp_path: Path) -> 
         build_gate(replace(TINY, safety=rrl, threshold=(2.0,)), SIZES)
     unfinished = hand_made(tmp_path / "unfinished", {0: braking_filter(), 3: braking_filter()})
     (unfinished / "filters" / "seed3.safetensors").unlink()
-    with pytest.raises(ValueError, match=r"seed3.safetensors: there is no such file$"):
+    message = (
+        r"unfinished: not a finished pretraining run of seed 3 \(no filters/seed3.safetensors\)$"
+    )
+    with pytest.raises(ValueError, match=message):
         build_gate(replace(TINY, safety=unfinished), SIZES)
     (rrl / "checkpoint.safetensors").rename(tmp_path / "moved")
     try:
