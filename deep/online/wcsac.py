@@ -12,9 +12,12 @@ a violation, m = 1 - terminal, and a' ~ pi(s'):
     lambda    <- max(0, lambda + a step along E CVaR - d)
 
 The published variance target lacks m: it bootstraps through the violation, although the
-episode ends there, so that even a certain violation would have a positive variance. Two more
-things differ from the published code: the multiplier is projected instead of a softplus, and
-it looks at the policy's actions of the moment, not at the recorded ones. Kept as published is
+episode ends there, so that even a certain violation would have a positive variance. Three more
+things differ from the published code: the multiplier is projected instead of a softplus; it
+looks at the policy's actions of the moment, not at the recorded ones; and Q_c' in the targets is
+clipped to [0, 1]. A policy that seeks small Q_c finds where the network errs downwards, and
+unclipped the error feeds itself: on PointGoal1 the mean of Q_c fell to -6, the multiplier to 0,
+and nothing got safer. Kept as published is
 that W* is a single sample: where the next state is random, sqrt(W) tends to E sqrt(W*), which
 is at most the standard deviation (Jensen's inequality).
 """
@@ -100,6 +103,10 @@ class CostEstimate(NamedTuple):
 
     mean: Tensor
     variance: Tensor
+
+    def in_range(self) -> CostEstimate:
+        """With the mean clipped to [0, 1], where a discounted probability lies."""
+        return self._replace(mean=self.mean.clamp(0, 1))
 
     def tail_mean(self, weight: float) -> Tensor:
         """CVaR (K, B), with ``weight`` from :func:`tail_weight`."""
@@ -236,7 +243,7 @@ class Wcsac(TaskLearner):
         seen = self.view(s)
         cost = self.cost_critic(seen, a)
         with torch.no_grad():
-            after = self.cost_critic_target(self.view(following), next_action)
+            after = self.cost_critic_target(self.view(following), next_action).in_range()
             mean_target = q_target(batch.cost, batch.terminal, settings.gamma_safe, after.mean)
             spread_target = variance_target(
                 batch.cost, batch.terminal, settings.gamma_safe, after, cost.mean

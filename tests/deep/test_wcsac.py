@@ -254,6 +254,25 @@ def test_the_policy_meets_the_limit_that_reward_speaks_against() -> None:
     assert constrained.multiplier.item() > 0.5
 
 
+def test_no_error_of_the_next_mean_below_zero_or_above_one_is_learned() -> None:
+    def taught(bias: float) -> Wcsac:
+        """One update from a target network whose mean is about ``bias`` everywhere."""
+        learner = Wcsac(SMALL, SIZES, (4,))
+        with torch.no_grad():
+            learner.cost_critic_target.both.mlp.biases[-1][0] = bias
+        learner.update(random_batch(0))
+        return learner
+
+    found = {bias: taught(bias).cost_critic.state_dict() for bias in (-90, -9, 0.5, 9, 90)}
+    for name, tensor in found[-9].items():
+        assert tensor.equal(found[-90][name])
+        assert found[9][name].equal(found[90][name])
+    weights = "both.mlp.biases.0"
+    assert not found[-9][weights].equal(found[0.5][weights])
+    assert not found[9][weights].equal(found[0.5][weights])
+    assert not found[9][weights].equal(found[-9][weights])
+
+
 def test_every_seed_can_have_a_limit_of_its_own() -> None:
     learner = Wcsac(replace(SMALL, cost_limit=(0.0, 2.0)), SIZES, (0, 1))
     assert learner.limits == (0.0, 2.0)
