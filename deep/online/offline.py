@@ -175,25 +175,34 @@ class _Run:
                 if self.updates % config.log_every == 0:
                     self._log(losses)
                 if self.updates % config.evaluate_every == 0:
-                    self._log_evaluation()
+                    self._log_evaluation(losses)
                 last = stop or self.updates == config.updates
                 if self.updates % config.checkpoint_every == 0 or last:
-                    rest = json.dumps({"seconds": self.seconds})
-                    save_checkpoint(self.learner, self.updates, self.checkpoint, rest)
+                    self._save(losses)
                 if stop:
                     raise KeyboardInterrupt
 
+    def _checked(self, losses: TaskLosses) -> list[list[str]]:
+        """Every seed's losses as they are written down."""
+        return [
+            checked_losses(seed, k, losses, f"update {self.updates}")
+            for k, seed in enumerate(self.config.seeds)
+        ]
+
     def _log(self, losses: TaskLosses) -> None:
-        moment, seconds = f"update {self.updates}", f"{self.seconds:.1f}"
+        shown, seconds = self._checked(losses), f"{self.seconds:.1f}"
         self.progress.write(
-            [
-                (self.updates, seed, *checked_losses(seed, k, losses, moment), seconds)
-                for k, seed in enumerate(self.config.seeds)
-            ]
+            (self.updates, seed, *shown[k], seconds) for k, seed in enumerate(self.config.seeds)
         )
 
-    def _log_evaluation(self) -> None:
+    def _save(self, losses: TaskLosses) -> None:
+        self._checked(losses)
+        rest = json.dumps({"seconds": self.seconds})
+        save_checkpoint(self.learner, self.updates, self.checkpoint, rest)
+
+    def _log_evaluation(self, losses: TaskLosses) -> None:
         config = self.config
+        self._checked(losses)
         policies = task_policies(self.learner, self._normalisations(), Iql.name)
         found = evaluate(config.task, policies, (), config.evaluation_episodes, EPISODES_KEPT_APART)
         self.evaluations.write(evaluation_rows(self.updates, config.seeds, found))

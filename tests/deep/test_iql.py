@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import json
 import math
+import os
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,12 +20,13 @@ from deep.__main__ import main
 from deep.batches import Batches
 from deep.checkpoint import load_checkpoint, save_checkpoint
 from deep.data import Transitions
-from deep.formats import write_hdf5
+from deep.formats import read_hdf5, write_hdf5
 from deep.losses import advantage_weighted_regression
+from deep.online.episodes import run_episodes
 from deep.online.iql import Iql, IqlSettings
 from deep.online.learner import TaskBatch, TaskLosses
 from deep.online.offline import OfflineConfig, task_batch, train_offline
-from deep.online.results import checked_losses
+from deep.online.results import EPISODES_KEPT_APART, checked_losses
 from deep.pretrain.learner import Sizes
 from deep.safety_filter import Normalisation
 from deep.task_policy import TrainedPolicy
@@ -146,36 +149,44 @@ def test_a_timeout_is_bootstrapped_through_and_an_end_is_not() -> None:
 def test_one_update_by_hand() -> None:
     settings = replace(SMALL, reward_scale=10.0, expectile=0.9, beta=2.0)
     learner, untouched = (Iql(settings, SIZES, (5,)) for _ in range(2))
+    for one in (learner, untouched):  # targets that are not the critics
+        with torch.no_grad():
+            for parameter in one.critic_target.parameters():
+                parameter += 0.1
     batch = task_batch(batches_of(chain_of_choices(), (5,)), 0)
     losses = learner.update(batch)
     with torch.no_grad():
-        q = untouched.critic(batch.observation, batch.action).amin(dim=1)
+        q = untouched.critic_target(batch.observation, batch.action).amin(dim=1)
         # The value is updated first; policy and critics see the new one.
         baseline, following = (
             learner.value(batch.observation),
             learner.value(batch.next_observation),
         )
         weight = torch.minimum(torch.exp(2.0 * (q - baseline)), torch.tensor(100.0))
-        log_prob = untouched.policy.log_prob(batch.observation, batch.action)
         target = 10 * batch.reward + GAMMA * (1 - batch.terminal) * following
-        both = untouched.critic(batch.observation, batch.action)
-        squares = ((both[:, 0] - target) ** 2).mean() + ((both[:, 1] - target) ** 2).mean()
-    assert losses.policy.item() == pytest.approx(-(weight * log_prob).mean().item(), rel=1e-5)
+    log_prob = untouched.policy.log_prob(batch.observation, batch.action)
+    policy_loss = -(weight * log_prob).mean()
+    both = untouched.critic(batch.observation, batch.action)
+    squares = ((both[:, 0] - target) ** 2).mean() + ((both[:, 1] - target) ** 2).mean()
+    assert losses.policy.item() == pytest.approx(policy_loss.item(), rel=1e-5)
     assert losses.critic.item() == pytest.approx(squares.item(), rel=1e-5)
-    # The value goes down the expectile loss: Adam's first step is against the gradient's sign.
-    value = untouched.value(batch.observation)
-    u = q - value
-    loss = (torch.where(u > 0, 0.9, 0.1) * u**2).mean()
-    parameters = list(untouched.value.parameters())
-    for before, after, slope in zip(
-        parameters, learner.value.parameters(), torch.autograd.grad(loss, parameters), strict=True
+    # Each goes down its loss: Adam's first step is against the gradient's sign.
+    u = q - untouched.value(batch.observation)
+    value_loss = (torch.where(u > 0, 0.9, 0.1) * u**2).mean()
+    for loss, module, moved in (
+        (value_loss, untouched.value, learner.value),
+        (policy_loss, untouched.policy, learner.policy),
+        (squares, untouched.critic, learner.critic),
     ):
-        clear = slope.abs() > 1e-5
-        step = -settings.learning_rate * slope.sign()
-        assert torch.allclose((after - before)[clear], step[clear], rtol=1e-2)
+        parameters = list(module.parameters())
+        slopes = torch.autograd.grad(loss, parameters)
+        for before, after, slope in zip(parameters, moved.parameters(), slopes, strict=True):
+            clear = slope.abs() > 1e-5
+            step = -settings.learning_rate * slope.sign()
+            assert torch.allclose((after - before)[clear], step[clear], rtol=1e-2)
     # The targets have followed by polyak.
     for start, online, target_net in zip(
-        untouched.critic.parameters(), learner.critic.parameters(),
+        untouched.critic_target.parameters(), learner.critic.parameters(),
         learner.critic_target.parameters(), strict=True,
     ):  # fmt: skip
         assert torch.allclose(target_net, start + 0.05 * (online - start), atol=1e-7)
@@ -328,6 +339,57 @@ def test_the_saved_policy_is_the_trained_one(config: OfflineConfig, tmp_path: Pa
     assert policy.act(raw) == pytest.approx(expected, abs=1e-5)
 
 
+def test_what_a_run_learns_from(
+    config: OfflineConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All rows alike, standardised by the whole data, at rates that slide down."""
+    batches: list[TaskBatch] = []
+    rates: list[set[float]] = []
+    update = Iql.update
+
+    def watched(self: Iql, batch: TaskBatch) -> TaskLosses:
+        batches.append(batch)
+        rates.append({group["lr"] for o in self.optimizers for group in o.param_groups})
+        return update(self, batch)
+
+    monkeypatch.setattr(Iql, "update", watched)
+    train_offline(config, tmp_path / "run", quiet=True)
+    data = read_hdf5(config.data)
+    centre, scale = data.observations.mean(axis=0), data.observations.std(axis=0)
+    units = TrainedPolicy.load(tmp_path / "run" / "policies" / "seed0.safetensors").normalisation
+    assert units.observation_centre == pytest.approx(centre, rel=1e-4)
+    assert units.observation_scale == pytest.approx(scale, rel=1e-4)
+    assert (units.action_centre, units.action_scale) == ((0.0,), (1.0,))
+    unscaled = Batches([data], config.seeds, 16, None, torch.device("cpu"))
+    assert len(batches) == config.updates
+    for number in (0, 33):
+        found, raw = batches[number], task_batch(unscaled, number)
+        for name in ("observation", "next_observation"):
+            expected = (getattr(raw, name).numpy() - centre) / scale
+            assert getattr(found, name).numpy() == pytest.approx(expected, abs=1e-5)
+        for name in ("action", "executed", "reward", "cost", "terminal", "noise", "next_noise"):
+            assert getattr(found, name).equal(getattr(raw, name)), name
+    for number, rate in enumerate(rates):
+        (only,) = rate
+        slid = max(number / config.updates - 0.5, 0) / 0.5
+        expected_rate = config.method.learning_rate * (1 - 0.95 * slid)
+        assert only == pytest.approx(expected_rate)
+
+
+def test_results_are_the_saved_policies(config: OfflineConfig, tmp_path: Path) -> None:
+    found = train_offline(config, tmp_path / "run", quiet=True)
+    evaluations = rows(tmp_path / "run" / "evaluations.csv")
+    for k, seed in enumerate(config.seeds):
+        policy = TrainedPolicy.load(tmp_path / "run" / "policies" / f"seed{seed}.safetensors")
+        at_end = run_episodes("brake", policy.act, None, 5, seed)
+        entry = [found.seeds[k][name] for name in ("acr", "avr", "arr", "length")]
+        assert entry == [at_end.acr, at_end.avr, at_end.arr, at_end.length]
+        during = run_episodes("brake", policy.act, None, 3, seed + EPISODES_KEPT_APART)
+        last = [float(evaluations[-2 + k][name]) for name in ("acr", "avr", "arr", "length")]
+        expected = [during.acr, during.avr, during.arr, during.length]
+        assert last == pytest.approx(expected, rel=1e-5)
+
+
 class Stop(Exception):
     """Stands for whatever ends a process."""
 
@@ -352,11 +414,63 @@ def test_a_run_that_was_stopped_ends_as_if_nothing_had_happened(
         with pytest.raises(Stop):
             train_offline(config, tmp_path / "cut", quiet=True)
     assert not (tmp_path / "cut" / "result.json").exists()
-    train_offline(config, tmp_path / "cut", quiet=True)
+    with monkeypatch.context() as patch:
+        patch.setattr(Iql, "update", stopping)
+        done = at
+        train_offline(config, tmp_path / "cut", quiet=True)
+    assert done - at == config.updates - at // 15 * 15  # went on from the checkpoint
     for name in ("policies/seed0.safetensors", "policies/seed3.safetensors"):
         assert (tmp_path / "cut" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
     for table in ("progress.csv", "evaluations.csv"):
         assert rows(tmp_path / "cut" / table) == rows(tmp_path / "whole" / table)
+
+
+def test_an_interrupt_saves_and_is_passed_on(
+    config: OfflineConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    update = Iql.update
+    done = 0
+
+    def interrupted(self: Iql, batch: TaskBatch) -> TaskLosses:
+        nonlocal done
+        done += 1
+        if done == 7:
+            os.kill(os.getpid(), signal.SIGINT)
+        return update(self, batch)
+
+    monkeypatch.setattr(Iql, "update", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        train_offline(config, tmp_path / "run", quiet=True)
+    assert done == 7
+    train_offline(config, tmp_path / "run", quiet=True)
+    assert done == config.updates  # nothing was done twice
+
+
+@pytest.mark.parametrize("due", ["evaluate_every", "checkpoint_every"])
+def test_a_loss_that_is_no_number_stops_the_run_and_keeps_the_checkpoint(
+    config: OfflineConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, due: str
+) -> None:
+    rhythms = {"log_every": 100, "evaluate_every": 100, "checkpoint_every": 15} | {due: 15}
+    config = replace(config, **rhythms)
+    update = Iql.update
+    done = 0
+
+    def poisoned(self: Iql, batch: TaskBatch) -> TaskLosses:
+        nonlocal done
+        done += 1
+        losses = update(self, batch)
+        if done >= 20:
+            losses.critic[1] = torch.nan
+            with torch.no_grad():
+                self.policy.mlp.biases[0][1] = torch.nan
+        return losses
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Iql, "update", poisoned)
+        message = "^update 30: a loss of seed 3 is not a number; try a smaller learning rate$"
+        with pytest.raises(FloatingPointError, match=message):
+            train_offline(config, tmp_path / "run", quiet=True)
+    assert len(train_offline(config, tmp_path / "run", quiet=True).seeds) == 2
 
 
 def test_a_finished_run_is_only_read(config: OfflineConfig, tmp_path: Path) -> None:
@@ -380,14 +494,26 @@ def test_data_that_do_not_fit_the_task_are_refused(config: OfflineConfig, tmp_pa
     message = r"data.hdf5: observations in R\^3 and actions in R\^1, brake has R\^2 and R\^1$"
     with pytest.raises(ValueError, match=message):
         train_offline(config, tmp_path / "run", quiet=True)
-    wide = replace(data, observations=data.observations[:, :2], actions=2 * data.actions,
-                   next_observations=data.next_observations[:, :2])  # fmt: skip
-    write_hdf5(wide, config.data)
-    with pytest.raises(ValueError, match=r"actions: row 0 is outside \[-1, 1\]$"):
-        train_offline(config, tmp_path / "other", quiet=True)
+    actions = data.actions.copy()
+    narrow = replace(data, observations=data.observations[:, :2],
+                     next_observations=data.next_observations[:, :2])  # fmt: skip
+    for wide, row in ((1.01, 40), (-1.01, 5)):
+        actions[row] = wide
+        write_hdf5(replace(narrow, actions=actions), config.data)
+        with pytest.raises(ValueError, match=rf"actions: row {row} is outside \[-1, 1\]$"):
+            train_offline(config, tmp_path / "other", quiet=True)
+    assert not (tmp_path / "other").exists()
+    write_hdf5(replace(narrow, actions=data.actions * 1.0005), config.data)  # by rounding
+    train_offline(replace(config, updates=1), tmp_path / "other", quiet=True)
 
 
-@pytest.mark.parametrize("name", ["updates", "episodes", "log_every", "evaluation_episodes"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("updates", "episodes", "evaluate_every"),
+        *("log_every", "evaluation_episodes", "checkpoint_every"),
+    ],
+)
 def test_counts_must_be_positive(config: OfflineConfig, name: str) -> None:
     with pytest.raises(ValueError, match=f"^{name} must be at least 1, not 0$"):
         replace(config, **{name: 0})
