@@ -8,8 +8,8 @@ With twin critics, an expectile tau and m = 1 - terminal, on transitions (s, a, 
 
 Nothing is asked of actions that the data do not show. A timeout is no terminal state. It
 knows no costs: what it avoids, it avoids because reward ends there. The policy is SAC's
-tanh-Gaussian (the published one has the same deviation in all states), and its learning
-rate stays as it is.
+tanh-Gaussian (the published one has the same deviation in all states), and all learning
+rates slide as SAC's do (the published one lets only the policy's fall, along a cosine).
 """
 
 from __future__ import annotations
