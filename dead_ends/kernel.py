@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-ROW_SUM_TOLERANCE = 1e-9
+from dead_ends.model_input import ROW_SUM_TOLERANCE
 
 Csr = sparse.csr_array[np.float64]
 NamePair = Callable[[int, int], str]

@@ -21,20 +21,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from dead_ends.model_input import (
+    MAX_STATES,
+    Names,
+    available_mask,
+    check_successors,
+    count_actions,
+    end_masks,
+    initial_distribution,
+    named,
+    read_only,
+    reward_table,
+)
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 __all__ = ["Geometry", "SafeMDP"]
-
-ROW_SUM_TOLERANCE = 1e-9
-MAX_STATES = int(np.iinfo(np.int32).max)
-
-Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +72,7 @@ class Geometry:
         cell = np.array(self.cell, dtype=np.int32)
         if cell.ndim != 2 or cell.shape[1] != 2:
             raise ValueError(f"geometry: cell must have shape (S, 2), not {cell.shape}")
-        object.__setattr__(self, "cell", _read_only(cell))
+        object.__setattr__(self, "cell", read_only(cell))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -138,9 +146,9 @@ class SafeMDP:
         if not np.issubdtype(table.dtype, np.integer):
             raise ValueError(f"next_state must hold integers, not {table.dtype}")
         num_states, num_actions = table.shape
-        fail_mask, terminal_mask = _end_masks(fail, terminal, num_states)
-        names = _Names(state_names, action_names, num_states, num_actions)
-        _check_successors(table, fail_mask | terminal_mask, names)
+        fail_mask, terminal_mask = end_masks(fail, terminal, num_states)
+        names = Names(state_names, action_names, num_states, num_actions)
+        check_successors(table, fail_mask | terminal_mask, names)
         if table.dtype == np.int32 and table.flags.c_contiguous:
             adopted = table
         else:
@@ -152,13 +160,13 @@ class SafeMDP:
             fail=fail_mask,
             terminal=terminal_mask,
             num_actions=num_actions,
-            rewards=_rewards(rewards, num_states, num_actions, names),
-            initial=_initial(initial, num_states),
+            rewards=reward_table(rewards, num_states, num_actions, names),
+            initial=initial_distribution(initial, num_states),
             state_names=names.states,
             action_names=names.actions,
             geometry=_geometry(geometry, num_states, num_actions),
             # Marked last: where something is refused, the caller's array stays as it was.
-            next_state=_read_only(adopted),
+            next_state=read_only(adopted),
         )
 
     @classmethod
@@ -198,10 +206,10 @@ class SafeMDP:
         num_states = fail_array.shape[0] if fail_array.ndim == 1 else -1
         if num_states < 0:
             raise ValueError(f"fail must have shape (S,), not {fail_array.shape}")
-        fail_mask, terminal_mask = _end_masks(fail, terminal, num_states)
-        num_actions = _num_actions(P, num_states)
-        names = _Names(state_names, action_names, num_states, num_actions)
-        mask = _available(available, fail_mask, terminal_mask, num_actions, names)
+        fail_mask, terminal_mask = end_masks(fail, terminal, num_states)
+        num_actions = count_actions(P, num_states)
+        names = Names(state_names, action_names, num_states, num_actions)
+        mask = available_mask(available, fail_mask, terminal_mask, num_actions, names)
         kernel, exact = build_kernel(P, mask, terminal_mask, names.pair)
         return cls(
             next_state=None,
@@ -210,8 +218,8 @@ class SafeMDP:
             fail=fail_mask,
             terminal=terminal_mask,
             num_actions=num_actions,
-            rewards=_rewards(rewards, num_states, num_actions, names),
-            initial=_initial(initial, num_states),
+            rewards=reward_table(rewards, num_states, num_actions, names),
+            initial=initial_distribution(initial, num_states),
             state_names=names.states,
             action_names=names.actions,
             geometry=_geometry(geometry, num_states, num_actions),
@@ -237,7 +245,7 @@ class SafeMDP:
         mask: NDArray[np.bool_] = self.next_state >= 0
         mask[self.fail] = False
         mask[self.terminal] = True
-        return _read_only(mask)
+        return read_only(mask)
 
     def successors(self) -> NDArray[np.int32]:
         """int32 (S, A): ``next_state`` with fail rows -1 and terminal rows self-loops.
@@ -275,198 +283,21 @@ class SafeMDP:
             return self.exact
         from dead_ends.kernel import exact_data
 
-        names = _Names(self.state_names, self.action_names, self.num_states, self.num_actions)
+        names = Names(self.state_names, self.action_names, self.num_states, self.num_actions)
         return exact_data(self.transitions(), names.pair)
 
     def state_name(self, state: int) -> str:
         """The state for a sentence: its number, and its name if it has one."""
-        return _named("state", state, self.state_names)
+        return named("state", state, self.state_names)
 
     def action_name(self, action: int) -> str:
         """The action for a sentence: its number, and its name if it has one."""
-        return _named("action", action, self.action_names)
+        return named("action", action, self.action_names)
 
     def __repr__(self) -> str:
         kind = "deterministic" if self.is_deterministic else "stochastic"
         ends = f"{int(self.fail.sum()):,} fail, {int(self.terminal.sum()):,} terminal"
         return f"SafeMDP({kind}, {self.num_states:,} states, {self.num_actions} actions, {ends})"
-
-
-def _read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
-    array.flags.writeable = False
-    return array
-
-
-def _named(kind: str, index: int, names: Sequence[str] | None) -> str:
-    return f"{kind} {index}" if names is None else f"{kind} {index} ({names[index]})"
-
-
-class _Names:
-    """Checked names, and how an error names a place."""
-
-    def __init__(
-        self,
-        states: Sequence[str] | None,
-        actions: Sequence[str] | None,
-        num_states: int,
-        num_actions: int,
-    ) -> None:
-        self.states = _checked_names("state_names", states, num_states)
-        self.actions = _checked_names("action_names", actions, num_actions)
-
-    def state(self, state: int) -> str:
-        return _named("state", state, self.states)
-
-    def pair(self, state: int, action: int) -> str:
-        return f"{self.state(state)}, {_named('action', action, self.actions)}"
-
-
-def _checked_names(what: str, names: Sequence[str] | None, count: int) -> tuple[str, ...] | None:
-    if names is None:
-        return None
-    if len(names) != count:
-        raise ValueError(f"{what}: expected {count} names, got {len(names)}")
-    return tuple(str(name) for name in names)
-
-
-def _mask(what: str, mask: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    array = np.asarray(mask)
-    if array.dtype != np.bool_:
-        raise ValueError(f"{what} must be a boolean mask, not {array.dtype}")
-    if array.shape != shape:
-        raise ValueError(f"{what} must have shape {shape}, not {array.shape}")
-    return _read_only(array.copy())
-
-
-def _end_masks(
-    fail: ArrayLike, terminal: ArrayLike | None, num_states: int
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    if num_states == 0:
-        raise ValueError("a model needs at least one state")
-    if num_states > MAX_STATES:
-        raise ValueError(f"a model has at most {MAX_STATES} states, not {num_states}")
-    fail_mask = _mask("fail", fail, (num_states,))
-    if terminal is None:
-        return fail_mask, _read_only(np.zeros(num_states, dtype=np.bool_))
-    terminal_mask = _mask("terminal", terminal, (num_states,))
-    both = np.flatnonzero(fail_mask & terminal_mask)
-    if len(both):
-        raise ValueError(f"state {both[0]} is both fail and terminal; a violation is not a goal")
-    return fail_mask, terminal_mask
-
-
-def _check_successors(
-    table: NDArray[np.integer[Any]], ended: NDArray[np.bool_], names: _Names
-) -> None:
-    """Every row that counts has its successors in range and at least one of them."""
-    num_states = len(table)
-    lowest, highest = int(table.min()), int(table.max())
-    if lowest < -1 or highest >= num_states:  # perhaps only in a row that does not count
-        bad = ((table < -1) | (table >= num_states)) & ~ended[:, None]
-        if bad.any():
-            state, action = (int(index) for index in np.argwhere(bad)[0])
-            raise ValueError(
-                f"{names.pair(state, action)}: successor {table[state, action]} is not a state "
-                f"(0 to {num_states - 1}, or -1 for an action that is not available)"
-            )
-    if lowest < 0:
-        stuck = ~ended
-        for action in range(table.shape[1]):
-            stuck &= table[:, action] < 0
-        if stuck.any():
-            raise _no_action(int(np.flatnonzero(stuck)[0]), names)
-
-
-def _no_action(state: int, names: _Names) -> ValueError:
-    return ValueError(
-        f"{names.state(state)} has no action and is neither fail nor terminal; "
-        "if the episode ends there without harm, mark it in `terminal`"
-    )
-
-
-def _num_actions(P: Any, num_states: int) -> int:
-    shape = tuple(getattr(P, "shape", None) or np.shape(P))
-    if len(shape) == 3:
-        if shape[0] != num_states or shape[2] != num_states or shape[1] == 0:
-            raise ValueError(f"P must have shape ({num_states}, A, {num_states}), not {shape}")
-        return int(shape[1])
-    if len(shape) != 2 or not hasattr(P, "tocsr"):
-        raise ValueError(
-            f"P must be dense with shape (S, A, S) or scipy.sparse with shape (S*A, S), not {shape}"
-        )
-    if shape[1] != num_states or shape[0] % num_states or shape[0] == 0:
-        raise ValueError(f"P must have shape ({num_states}*A, {num_states}), not {shape}")
-    return int(shape[0] // num_states)
-
-
-def _available(
-    available: ArrayLike | None,
-    fail: NDArray[np.bool_],
-    terminal: NDArray[np.bool_],
-    num_actions: int,
-    names: _Names,
-) -> NDArray[np.bool_]:
-    shape = (len(fail), num_actions)
-    if available is None:
-        mask = np.ones(shape, dtype=np.bool_)
-    else:
-        mask = _mask("available", available, shape).copy()
-    mask[terminal] = True
-    stuck = np.flatnonzero(~mask.any(axis=1) & ~fail)
-    if len(stuck):
-        raise _no_action(int(stuck[0]), names)
-    mask[fail] = False
-    return _read_only(mask)
-
-
-def _rewards(
-    rewards: ArrayLike | None, num_states: int, num_actions: int, names: _Names
-) -> NDArray[np.float64] | None:
-    if rewards is None:
-        return None
-    array = np.array(rewards, dtype=np.float64)
-    if array.shape != (num_states, num_actions):
-        raise ValueError(
-            f"rewards must have shape ({num_states}, {num_actions}), not {array.shape}"
-        )
-    bad = np.argwhere(~np.isfinite(array))
-    if len(bad):
-        state, action = (int(index) for index in bad[0])
-        raise ValueError(
-            f"{names.pair(state, action)}: reward {array[state, action]} is not finite"
-        )
-    return _read_only(array)
-
-
-def _initial(initial: ArrayLike | None, num_states: int) -> NDArray[np.float64] | None:
-    """The distribution of the first state, from indices, a mask or a distribution."""
-    if initial is None:
-        return None
-    array = np.asarray(initial)
-    distribution = np.zeros(num_states)
-    if array.dtype == np.bool_:
-        distribution[_mask("initial", array, (num_states,))] = 1.0
-    elif np.issubdtype(array.dtype, np.integer):
-        indices = np.atleast_1d(array)
-        if len(indices) and (indices.min() < 0 or indices.max() >= num_states):
-            raise ValueError(f"initial: states must lie in 0 to {num_states - 1}")
-        distribution[indices] = 1.0
-    else:
-        return _read_only(_distribution(array.astype(np.float64), num_states))
-    if not distribution.any():
-        raise ValueError("initial: at least one state is needed")
-    return _read_only(distribution / distribution.sum())
-
-
-def _distribution(array: NDArray[np.float64], num_states: int) -> NDArray[np.float64]:
-    if array.shape != (num_states,):
-        raise ValueError(f"initial must have shape ({num_states},), not {array.shape}")
-    bad = np.flatnonzero(~(array >= 0))
-    if len(bad):
-        raise ValueError(f"initial: state {bad[0]} has probability {array[bad[0]]}")
-    if abs(array.sum() - 1) > ROW_SUM_TOLERANCE:
-        raise ValueError(f"initial: probabilities sum to {array.sum()}, not 1")
-    return array.copy()
 
 
 def _geometry(geometry: Geometry | None, num_states: int, num_actions: int) -> Geometry | None:

@@ -26,7 +26,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dead_ends.policy_input import ROW_SUM_TOLERANCE, as_distribution
+from dead_ends.model_input import ROW_SUM_TOLERANCE
+from dead_ends.policy_input import as_distribution
 from dead_ends.results import Values
 
 __all__ = [

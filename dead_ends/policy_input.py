@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dead_ends.model import SafeMDP
+from dead_ends.model_input import ROW_SUM_TOLERANCE
 
 __all__ = ["as_distribution", "check_policy", "exact_distribution", "single_actions"]
-
-ROW_SUM_TOLERANCE = 1e-9
 
 
 def check_policy(model: SafeMDP, policy: ArrayLike) -> NDArray[Any]:

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dead_ends.io.transitions import Condition, Transitions, build_model, state_mask
-from dead_ends.model import ROW_SUM_TOLERANCE, SafeMDP
+from dead_ends.model import SafeMDP
+from dead_ends.model_input import ROW_SUM_TOLERANCE
 
 if TYPE_CHECKING:
     from dead_ends.io.tokens import Tokens
