@@ -142,9 +142,9 @@ class Study:
     unfinished: tuple[str, ...]
 
     def tasks(self) -> tuple[str, ...]:
-        """The tasks with a finished run, the paper's first and in its order."""
+        """The tasks with a finished run: the paper's first and in its order, real ones last."""
         found = {run.task for run in self.runs}
-        return tuple(sorted(found, key=lambda task: (paper_place(task), task)))
+        return tuple(sorted(found, key=lambda t: (t.startswith("real:"), paper_place(t), t)))
 
     def section(self, name: str) -> dict[tuple[str, str], Run]:
         """The runs of a section by task and method."""
