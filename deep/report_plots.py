@@ -1,20 +1,22 @@
 """Runs -> figures; nothing here reads or saves. A colour belongs to a method, in every figure.
 
-The colours are those of Okabe and Ito, which the colour-blind can tell apart. Lines are IQMs over
-seeds, bands their 95% bootstrap intervals (see ``deep.report_statistics``).
+The colours are those of Okabe and Ito, which the colour-blind can tell apart, and a line's style
+says the method too. Lines are IQMs over seeds, bands their 95% bootstrap intervals (see
+``deep.report_statistics``).
 """
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from deep.report_runs import Run, SeedResult, Study
 from deep.report_statistics import Floats, band, estimate
@@ -23,7 +25,9 @@ from deep.report_tables import ABLATION_FORMS, EPSILON_FORMS, label
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["COLORS", "Curve", "ablation_figure", "epsilon_figure", "training_figure"]
+__all__ = ["COLORS", "STYLES", "Curve", "ablation_figure", "epsilon_figure", "training_figure"]
+
+LineStyle: TypeAlias = str | tuple[int, tuple[float, ...]]
 
 COLORS = {
     "sac": "#000000",
@@ -36,6 +40,19 @@ COLORS = {
     "iql": "#F0E442",
 }
 OTHER = "#777777"
+STYLES: dict[str, LineStyle] = {
+    "wcsac": (0, (1, 1)),
+    "rrl": (0, (4, 1.5)),
+    "rrl-msdp": (0, (4, 1.2, 1, 1.2)),
+    "dearrl-iql": (0, (3, 1, 1, 1, 1, 1)),
+}
+"""Of the methods whose line is not solid: with the colours, no two look the same in grey."""
+UNCORRECTED = ("sac", "wcsac", "iql")
+"""Methods without a filter; a run of WCSAC has a threshold all the same, its cost limit."""
+WIDEST = 11.0
+"""Inches, so that letters stay legible where a page shows the picture 900 pixels wide."""
+NOTE_SIZE, NOTE_LETTER = 8, 0.062
+"""Points, and inches a letter of that size takes."""
 BINS = 20
 POINTS = 200
 
@@ -111,7 +128,7 @@ def total_violations(run: Run) -> Curve | None:
 
 def interventions(run: Run) -> Curve | None:
     """Share of each bin's training steps that were corrected; None for a run without a filter."""
-    if run.progress is None or not run.by_threshold():
+    if run.progress is None or run.method in UNCORRECTED:
         return None
     steps = run.progress.steps
     ends = _ends(steps, BINS)
@@ -146,40 +163,77 @@ def _grid(
 ) -> tuple[Figure, list[str], list[list[Axes]]]:
     """A figure with a column a task of the section and its panels[row][column].
 
-    Which of the methods have no run on a task stands in the task's first panel.
+    Which of the methods have no run on a task stands above its first panel. Returns have a
+    scale of their own on each task, everything else one for all.
     """
     runs = study.section(section)
     tasks = [task for task in study.tasks() if any(found == task for found, _ in runs)]
-    size = (max(3.3 * len(tasks) + 0.6, 6.5), 2.1 * len(rows) + 1.3)
-    figure = Figure(figsize=size, layout="constrained")
-    grid = figure.subplots(len(rows), len(tasks), squeeze=False, sharex="col", sharey="row")
+    width = min(max(3.3 * len(tasks) + 0.6, 6.5), WIDEST)
+    figure = Figure(figsize=(width, 2.1 * len(rows) + 1.3), layout="constrained")
+    grid = _panels(figure, rows, len(tasks))
     for panels, row in zip(grid, rows, strict=True):
         panels[0].set_ylabel(row.name)
         if row.scale is Scale.COUNT:
             panels[0].set_yscale("symlog", linthresh=1)  # a count may be 0
             panels[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
-    for axes, task in zip(grid[0], tasks, strict=True):
-        missing = [label(method) for method in methods if (task, method) not in runs]
-        axes.set_title(task)
-        if missing:
-            note = "\n".join(["missing:", *missing])
-            box = {"facecolor": "white", "alpha": 0.8, "linewidth": 0}
-            axes.text(0.02, 0.98, note, transform=axes.transAxes, va="top", fontsize=7, bbox=box)
-    for axes in grid.flat:
+    letters = int((width - 0.8) / len(tasks) / NOTE_LETTER) - 4
+    missing = [[label(m) for m in methods if (task, m) not in runs] for task in tasks]
+    _titles(grid[0], tasks, [_missing_note(names, letters) for names in missing])
+    for axes in figure.axes:
         axes.grid(color="#e4e4e4", linewidth=0.6)
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
-    return figure, tasks, [list(row) for row in grid]
+    return figure, tasks, grid
+
+
+def _panels(figure: Figure, rows: Sequence[Row], columns: int) -> list[list[Axes]]:
+    """Empty panels[row][column]: x shared in a column, y in a row unless it holds returns."""
+    places = figure.add_gridspec(len(rows), columns)
+    grid: list[list[Axes]] = []
+    for r, row in enumerate(rows):
+        panels: list[Axes] = []
+        for c in range(columns):
+            shared = panels[0] if panels and row.scale is not Scale.RETURN else None
+            axes = figure.add_subplot(
+                places[r, c], sharex=grid[0][c] if grid else None, sharey=shared
+            )
+            axes.tick_params(labelbottom=r == len(rows) - 1, labelleft=shared is None)
+            panels.append(axes)
+        grid.append(panels)
+    return grid
+
+
+def _missing_note(names: Sequence[str], letters: int) -> str:
+    """The names, none of them broken, in lines of about so many letters; empty without names."""
+    whole = [name.replace(" ", "\N{NO-BREAK SPACE}") for name in names]
+    note = textwrap.fill(f"missing: {', '.join(whole)}", letters, break_on_hyphens=False)
+    return note if names else ""
+
+
+def _titles(panels: Sequence[Axes], tasks: Sequence[str], notes: Sequence[str]) -> None:
+    """Each task's name, and below it, still outside the panel, its note."""
+    lines = max(len(note.splitlines()) for note in notes)
+    for axes, task, note in zip(panels, tasks, notes, strict=True):
+        axes.set_title(task, pad=6 + 1.3 * NOTE_SIZE * lines)
+        if note:
+            axes.annotate(
+                note, (0.5, 1), xytext=(0, 4), xycoords="axes fraction",
+                textcoords="offset points", ha="center", va="bottom", fontsize=NOTE_SIZE,
+            )  # fmt: skip
 
 
 def _legend(figure: Figure, methods: Sequence[str], marker: str = "") -> None:
-    lines = [
-        Line2D([], [], color=COLORS.get(method, OTHER), marker=marker, linewidth=2)
-        for method in methods
-    ]
+    lines = [Line2D([], [], marker=marker, linewidth=2, **_look(method)) for method in methods]
     names = [label(method) for method in methods]
     columns = max(1, len(methods) if len(methods) <= 4 else -(-len(methods) // 2))
-    figure.legend(lines, names, loc="outside lower center", ncols=columns, frameon=False)
+    figure.legend(
+        lines, names, loc="outside lower center", ncols=columns, frameon=False, handlelength=3
+    )
+
+
+def _look(method: str) -> dict[str, Any]:
+    """Colour and style of a method's line, in every figure."""
+    return {"color": COLORS.get(method, OTHER), "linestyle": STYLES.get(method, "-")}
 
 
 def _curves(study: Study, section: str, methods: Sequence[str]) -> Figure:
@@ -196,7 +250,8 @@ def _curves(study: Study, section: str, methods: Sequence[str]) -> Figure:
                     drawn.add(method)
     _from_zero(CURVE_ROWS, grid)
     for axes in grid[-1]:
-        axes.set_xlabel("environment steps of a seed")
+        axes.set_xlabel("steps of a seed")
+        axes.xaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10]))
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         axes.set_xlim(left=0)
     _legend(figure, [method for method in methods if method in drawn])
@@ -205,11 +260,12 @@ def _curves(study: Study, section: str, methods: Sequence[str]) -> Figure:
 
 def _curve(axes: Axes, curve: Curve, method: str) -> None:
     """The line and its band; a lone point, which makes no line, is a dot."""
-    color = COLORS.get(method, OTHER)
-    across = band(curve.values)
+    look, across = _look(method), band(curve.values)
     marker = "o" if len(curve.steps) == 1 else ""
-    axes.plot(curve.steps, across.value, color=color, linewidth=1.4, marker=marker, label=method)
-    axes.fill_between(curve.steps, across.low, across.high, color=color, alpha=0.18, linewidth=0)
+    axes.plot(curve.steps, across.value, linewidth=1.6, marker=marker, label=method, **look)
+    axes.fill_between(
+        curve.steps, across.low, across.high, color=look["color"], alpha=0.15, linewidth=0
+    )
 
 
 def _from_zero(rows: Sequence[Row], grid: Sequence[Sequence[Axes]]) -> None:
@@ -270,7 +326,7 @@ def _thresholds(axes: Axes, run: Run, row: EpsilonRow, form: str, chosen: Sequen
         line.append((threshold, middle.value))
         if middle.low is not None and middle.high is not None:
             axes.vlines(threshold, middle.low, middle.high, color=color, linewidth=1.2)
-    axes.plot([x for x, _ in line], [y for _, y in line], color=color, linewidth=1.4, label=form)
+    axes.plot([x for x, _ in line], [y for _, y in line], linewidth=1.6, label=form, **_look(form))
     ringed = [(x, y) for x, y in line if x in chosen]
     axes.scatter(
         [x for x, _ in ringed], [y for _, y in ringed], s=90, facecolors="none", edgecolors=color

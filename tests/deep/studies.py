@@ -106,7 +106,7 @@ def write_study(study: Path, tasks: Sequence[str], seeds: int) -> None:
         for method in CHARACTER:
             if method == "wcsac" and task == tasks[-1]:
                 continue
-            threshold = None if "sac" in method else 0.3
+            threshold = {"sac": None, "wcsac": 0.01}.get(method, 0.3)
             write_training(place / "train" / method, task, method, [threshold] * seeds, rng)
         results = [seed_result(k, tv=0, acr=12.0 + k, avr=0.5) for k in range(seeds)]
         write_result(place / "train" / "iql", task, "iql", results)

@@ -17,10 +17,12 @@ import pytest
 from matplotlib.colors import to_rgb
 
 from deep.__main__ import main
+from deep.folder import versions
 from deep.paper_results import PAPER_TASKS, PaperScore, paper_score
 from deep.report import report
 from deep.report_plots import (
     COLORS,
+    STYLES,
     ablation_figure,
     epsilon_figure,
     evaluation_returns,
@@ -310,7 +312,7 @@ def test_training_figure_holds_the_curves(whole: Path) -> None:
             for line in axes.get_lines()
         )
     assert "wcsac" not in [line.get_label() for line in second.get_lines()]
-    assert [text.get_text() for text in second.texts] == ["missing:\nWCSAC"]
+    assert [text.get_text() for text in second.texts] == ["missing: WCSAC"]
     assert not returns.texts
     assert (total.get_yscale(), returns.get_yscale()) == ("symlog", "linear")
     assert {line.get_label() for line in corrected.get_lines()} == set(studies.CHARACTER) - {
@@ -337,6 +339,56 @@ def test_legend_lies_below_the_panels(whole: Path) -> None:
     assert [text.get_text() for text in legend.get_texts()] == [
         label for method, label in METHODS.items() if method != "iql"
     ]
+
+
+def test_real_tasks_follow_the_others_in_the_same_order(tmp_path: Path) -> None:
+    ordered = ("static-env", "dynamic-env", "point-goal1", "real:static-env", "real:point-goal1")
+    for task in sorted(ordered):
+        place = tmp_path / task.replace(":", "-") / "train" / "sac"
+        studies.write_result(place, task, "sac", [studies.seed_result(0)])
+    assert read_study(tmp_path).tasks() == ordered
+
+
+def test_what_is_missing_stands_outside_the_panels(tmp_path: Path) -> None:
+    tasks = ("static-env", "dynamic-env", "point-goal1", "real:point-goal1", "real:static-env")
+    for k, task in enumerate(tasks):
+        results = [studies.seed_result(0)]
+        place = tmp_path / task.replace(":", "-") / "train"
+        for method in ("sac", list(METHODS)[1:][k]):  # every method on one task only
+            studies.write_result(place / method, task, method, results)
+    figure = training_figure(read_study(tmp_path))
+    figure.canvas.draw()
+    first = figure.axes[:5]
+    notes = [axes.texts[0].get_window_extent() for axes in first]
+    for k, (axes, note) in enumerate(zip(first, notes, strict=True)):
+        assert note.y0 >= axes.get_window_extent().y1
+        assert note.y1 <= axes.title.get_window_extent().y0
+        assert not any(note.overlaps(other) for other in notes[:k])
+    lines = first[0].texts[0].get_text().replace("\N{NO-BREAK SPACE}", " ").splitlines()
+    assert lines == ["missing: RRL, RRL (MSDP),", "DEA-RRL, DEA-RRL (annealed)"]
+
+
+def test_returns_have_a_scale_of_their_own(whole: Path) -> None:
+    for figure in (training_figure(read_study(whole)), epsilon_figure(read_study(whole))):
+        shared = [
+            left.get_shared_y_axes().joined(left, right)
+            for left, right in zip(figure.axes[::2], figure.axes[1::2], strict=True)
+        ]
+        assert shared == [False, True, True, True]
+        assert [axes.get_yscale() for axes in figure.axes[4:6]] == ["symlog", "symlog"]
+        point = [axes.transData.transform((0.1, 100.0))[1] for axes in figure.axes[4:6]]
+        assert point[0] == pytest.approx(point[1])
+
+
+def test_no_two_methods_look_the_same_in_grey() -> None:
+    weights = np.array([0.2126, 0.7152, 0.0722])
+    looks = [
+        (STYLES.get(method, "-"), float(weights @ to_rgb(COLORS[method])))
+        for method in METHODS
+        if method != "iql"
+    ]
+    for (style, grey), (other, light) in itertools.combinations(looks, 2):
+        assert style != other or abs(grey - light) > 0.1
 
 
 def test_ablation_and_epsilon_figures(whole: Path) -> None:
@@ -374,6 +426,8 @@ def test_report_writes_everything(whole: Path, reported: Path) -> None:
     assert [run["folder"] for run in inventory["runs"]] == [run.folder for run in found.runs]
     assert inventory["runs"][0]["made with"] == studies.MADE_WITH
     assert inventory["unfinished"] == ["static-env/train/later"]
+    assert inventory["report made with"]["git"] == versions()["git"]
+    assert {"matplotlib", "numpy", "scipy", "python"} <= set(inventory["report made with"])
 
 
 def test_csv_round_trip(whole: Path, reported: Path) -> None:
