@@ -13,6 +13,12 @@ and puts SAC behind each filter for 200 whole episodes at several thresholds. Be
 stands a limit that needs the simulator: an action is let through if after it one of nine
 simple recoveries (brake, or creep ahead or back; straight, or turning to either side) goes on
 for 80 steps without a violation. The exact dead-end boundary would let at least that through.
+
+    python -m benchmarks.critic_views runs/study approach
+
+asks the critics of such a run only one thing more, and is part of the run above too: Q_c of full
+thrust along a straight line into a hazard, at full speed. From so many metres before the hazard on
+that full braking takes, not even braking helps; there is nothing to see before and all after it.
 """
 
 from __future__ import annotations
@@ -33,6 +39,7 @@ from deep.online.episodes import run_episodes
 from deep.online.offline_data import offline_data
 from deep.pretrain import AnySettings, DeaRrlAnnealedSettings, DeaRrlSettings
 from deep.run import pretrain
+from deep.safety_filter import SafetyFilter
 from deep.task_policy import TrainedPolicy
 from deep.tasks import PointGoal1
 from deep.tasks.task import Bools, Floats
@@ -61,6 +68,12 @@ RECOVERIES = np.array([(v, turn) for v in (0.0, -0.3, 0.3) for turn in (0.0, -1.
 """Speed along the heading in m/s, and steering."""
 RECOVERY_STEPS = 80
 GAIN = 8.0
+DISTANCES = (0.5, 0.2, 0.1, 0.05, 0.02)
+"""Of an approach, in metres: before the last braking, and before contact."""
+LAYOUTS = 1000
+MARGIN = 0.3
+"""Metres between an approach and the edges of all other hazards."""
+FORWARD, BRAKE = np.array([[1.0, 0.0]]), np.array([[-1.0, 0.0]])
 
 
 def recover(state: Floats, recovery: Floats) -> Floats:
@@ -112,6 +125,110 @@ def simulated(policy: TrainedPolicy, episodes: int) -> dict[str, float]:
         "avr": 1 - float(alive.mean()),
         "arr": replaced / steps,
     }
+
+
+def at_full_speed(task: PointGoal1) -> Floats:
+    """A robot's own coordinates (8,) after six seconds of full thrust from rest, heading 0."""
+    rng = np.random.default_rng(0)
+    state = task.reset(rng, 1)
+    own = len(task.robot.state_names)
+    state[:, :own] = task.robot.at_rest(1)
+    for _ in range(300):
+        state = task.step(state, FORWARD, rng).next_state
+    state[0, :2] = 0.0
+    return np.asarray(state[0, :own])
+
+
+def braking_distance(task: PointGoal1) -> float:
+    """Metres that a robot at full speed slides ahead under full braking."""
+    rng = np.random.default_rng(0)
+    state = task.reset(rng, 1)
+    robot = at_full_speed(task)
+    state[0, : len(robot)] = robot
+    while state[0, 3] > 0:
+        farthest = state[0, 0]
+        state = task.step(state, BRAKE, rng).next_state
+    return float(max(farthest, state[0, 0]))
+
+
+def approaches(task: PointGoal1, before_contact: Floats, rng: np.random.Generator) -> Floats:
+    """States (distances, layouts, state dim) on lines to the centre of the first hazard.
+
+    Every line begins in a direction of its own; layouts where it comes near another hazard
+    are left out. Of a layout, only the place of the robot differs.
+    """
+    state = task.reset(rng, LAYOUTS)
+    angle = rng.uniform(0, 2 * np.pi, LAYOUTS)
+    ahead = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    robot = at_full_speed(task)
+    state[:, : len(robot)] = robot
+    state[:, 2] = angle
+    state[:, 3:5] = robot[3] * ahead
+    hazards = task.hazards(state)
+    size = task.layout.hazard_size
+    offset = hazards[:, 1:] - hazards[:, :1]
+    longest = size + before_contact.max()
+    along = np.clip(-(offset * ahead[:, None]).sum(axis=2), 0, longest)
+    from_line = np.linalg.norm(offset + along[..., None] * ahead[:, None], axis=2)
+    state = state[(from_line > size + MARGIN).all(axis=1)]
+    ahead = np.stack([np.cos(state[:, 2]), np.sin(state[:, 2])], axis=1)
+    out = np.tile(state, (len(before_contact), 1, 1))
+    out[..., :2] = task.hazards(state)[:, 0] - (size + before_contact)[:, None, None] * ahead
+    return out
+
+
+def approach_rows(views: Path) -> list[dict[str, Any]]:
+    """Each critic's Q_c of full thrust at each distance: median, tenth and ninetieth percentile."""
+    task, brake = PointGoal1(), braking_distance(PointGoal1())
+    places = [("last braking", d, brake + d) for d in DISTANCES]
+    places += [("contact", d, d) for d in DISTANCES]
+    before_contact = np.array([distance for *_, distance in places])
+    states = approaches(task, before_contact, np.random.default_rng(SEED))
+    rows = []
+    for form in FORMS:
+        for variant, (keep, sharpness) in VARIANTS.items():
+            path = views / f"{form}-{keep}-{sharpness:g}" / "filters" / f"seed{SEED}.safetensors"
+            safety = SafetyFilter.load(path)
+            for (before, distance, to_contact), at in zip(places, states, strict=True):
+                q = safety.q(task.observe(at), np.tile(FORWARD, (len(at), 1)))
+                low, median, high = (float(v) for v in np.quantile(q, (0.1, 0.5, 0.9)))
+                rows.append(
+                    {
+                        "form": form, "variant": variant, "before": before, "distance": distance,
+                        "to_contact": round(to_contact, 3), "layouts": len(at),
+                        "q": median, "q_low": low, "q_high": high,
+                    }
+                )  # fmt: skip
+    return rows
+
+
+def approach_table(rows: list[dict[str, Any]]) -> str:
+    """A row a critic, a column a distance; farthest first."""
+    places = sorted({row["to_contact"] for row in rows}, reverse=True)
+    lines = ["| filter | data and view |" + "".join(f" {d:.2f} m |" for d in places)]
+    lines.append("|---|---|" + "---|" * len(places))
+    for form, variant in dict.fromkeys((row["form"], row["variant"]) for row in rows):
+        found = {
+            row["to_contact"]: f"{row['q']:.2f} [{row['q_low']:.2f}, {row['q_high']:.2f}]"
+            for row in rows
+            if (row["form"], row["variant"]) == (form, variant)
+        }
+        lines.append(f"| {form} | {variant} |" + "".join(f" {found[d]} |" for d in places))
+    return "\n".join(lines)
+
+
+def approach(study: Path) -> None:
+    """Write ``results/critic_approach.json`` and print its table."""
+    rows = approach_rows(study / TASK / "views")
+    speed = float(at_full_speed(PointGoal1())[3])
+    content = {
+        "task": TASK, "seed": SEED, "speed": round(speed, 3),
+        "braking_distance": round(braking_distance(PointGoal1()), 3),
+        "rows": rows, "made with": facts(),
+    }  # fmt: skip
+    with atomic_path(RESULTS / "critic_approach.json") as temporary:
+        temporary.write_text(json.dumps(content, indent=2) + "\n")
+    print(approach_table(rows))
 
 
 def scored(study: Path, form: str, variant: str, work: Path) -> list[dict[str, Any]]:
@@ -166,4 +283,6 @@ def main(study: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    if sys.argv[2:] != ["approach"]:
+        main(Path(sys.argv[1]))
+    approach(Path(sys.argv[1]))
