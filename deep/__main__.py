@@ -68,13 +68,17 @@ class Pretrain:
     run_config: Annotated[PretrainConfig, tyro.conf.arg(name="")]
 
     def run(self) -> None:
-        """Train, and report on every seed."""
+        """Train, report on every seed, and warn of critics that are of no use."""
         result = pretrain(self.run_config, self.out)
         for safety, health in zip(result.filters, result.health, strict=True):
             print(f"{self.out / 'filters'}/seed{safety.seed}.safetensors: {health}")
-        broken = [health for health in result.health if health.status != Status.SOUND]
+        broken = [str(h.seed) for h in result.health if h.status != Status.SOUND]
         if broken:
-            raise ValueError(f"{len(broken)} of {len(result.health)} critics are of no use")
+            print(
+                f"deep: warning: {len(broken)} of {len(result.health)} critics are of no use "
+                f"(seeds: {', '.join(broken)})",
+                file=sys.stderr,
+            )
 
 
 @dataclass(frozen=True)

@@ -493,6 +493,30 @@ def test_pretraining_from_the_command_line(
     assert SafetyFilter.load(tmp_path / "run" / "filters" / "seed0.safetensors").seed == 0
 
 
+def test_a_critic_of_no_use_is_a_finished_run_with_a_warning(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "run"
+    arguments = ["pretrain", "--out", str(folder), *COMMAND[4:]]
+    arguments[arguments.index("600")] = "20"
+    assert main(arguments) == 0
+    assert "warning" not in capsys.readouterr().err
+    config = read_run(folder)
+    learner = build_learner(config.method, Sizes(2, 1), config.seeds)
+    load_checkpoint(learner, folder / "checkpoint.safetensors")
+    with torch.no_grad():
+        learner.critic.mlp.biases[-1][learner.critic.members :] = -50.0  # those of seed 3
+    save_checkpoint(learner, 20, folder / "checkpoint.safetensors")
+    before = filter_bytes(folder)
+    assert main(arguments) == 0  # as `grid` expects of a job that left its result
+    said = capsys.readouterr()
+    assert "seed3.safetensors: seed 3: saturated: it calls everything safe (Q from" in said.out
+    assert said.err.endswith("\ndeep: warning: 1 of 2 critics are of no use (seeds: 3)\n")
+    after = filter_bytes(folder)
+    assert after[0] == before[0]
+    assert after[1] != before[1]
+
+
 def test_closenesses_are_sharpened_before_they_are_normalised(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     seen = np.column_stack(
