@@ -23,6 +23,11 @@ def test_the_tables_are_those_of_the_runs(tmp_path: Path) -> None:
     )
     for name in published:
         assert (tmp_path / name).read_text() == (REPORT / name).read_text(), name
+    made, listed = (
+        json.loads((folder / "report.json").read_text()) for folder in (tmp_path, REPORT)
+    )
+    del made["report made with"], listed["report made with"]  # who made it, and not of what
+    assert made == listed
 
 
 @pytest.mark.parametrize("run", RUNS, ids=lambda run: str(run.relative_to(STUDY)))
