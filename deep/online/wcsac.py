@@ -16,7 +16,7 @@ episode ends there, so that even a certain violation would have a positive varia
 things differ from the published code: the multiplier is projected instead of a softplus; it
 looks at the policy's actions of the moment, not at the recorded ones; and Q_c' in the targets is
 clipped to [0, 1]. A policy that seeks small Q_c finds where the network errs downwards, and
-unclipped the error feeds itself: on PointGoal1 the mean of Q_c fell to -6, the multiplier to 0,
+unclipped the error feeds itself: on PointGoal1 Q_c fell below 0, the multiplier with it to 0,
 and nothing got safer. Kept as published is
 that W* is a single sample: where the next state is random, sqrt(W) tends to E sqrt(W*), which
 is at most the standard deviation (Jensen's inequality).
