@@ -214,6 +214,59 @@ def test_while_the_multiplier_is_zero_it_is_sac() -> None:
         assert ours.equal(theirs)
 
 
+def test_one_update_by_hand() -> None:
+    learner, untouched = (Wcsac(SMALL, SIZES, (5,)) for _ in range(2))
+    for one in (learner, untouched):  # targets that are not the critics, and a price
+        with torch.no_grad():
+            one.multiplier.fill_(0.5)
+            for part in (*one.critic_target.parameters(), *one.cost_critic_target.parameters()):
+                part += 0.1
+    batch = random_batch(3)
+    s, a, goes_on = batch.observation, batch.action, 1 - batch.terminal
+    losses = learner.update(batch._replace(executed=torch.zeros_like(a)))
+    with torch.no_grad():
+        next_action, _ = untouched.policy.sample(batch.next_observation, batch.next_noise)
+        after = untouched.cost_critic_target(batch.next_observation, next_action)
+        ahead = after.mean.clamp(0, 1)
+        # Every violation of the batch ends its episode.
+        mean_target = batch.cost + 0.5 * goes_on * ahead
+        square = batch.cost + 0.25 * goes_on * (after.variance + ahead**2)
+        variance_wanted = (square - untouched.cost_critic(s, a).mean ** 2).clamp(min=1e-8)
+    cost = untouched.cost_critic(s, a)
+    cost_loss = ((cost.mean - mean_target) ** 2).mean()
+    cost_loss += ((cost.variance.sqrt() - variance_wanted.sqrt()) ** 2).mean()
+    # Policy and multiplier see the critics that have just learned, at the policy's own actions.
+    action, log_prob = untouched.policy.sample(s, batch.noise)
+    estimate = learner.cost_critic(s, action)
+    tail = estimate.mean + math.sqrt(2 / math.pi) * estimate.variance.sqrt()
+    policy_loss = (0.2 * log_prob - learner.critic.least(s, action) + 0.5 * tail).mean()
+    assert losses.policy.item() == pytest.approx(policy_loss.item(), rel=1e-5)
+    # Each goes down its loss: Adam's first step is against the gradient's sign.
+    for loss, module, moved in (
+        (cost_loss, untouched.cost_critic, learner.cost_critic),
+        (policy_loss, untouched.policy, learner.policy),
+    ):
+        parameters = list(module.parameters())
+        slopes = torch.autograd.grad(loss, parameters)
+        for before, now, slope in zip(parameters, moved.parameters(), slopes, strict=True):
+            clear = slope.abs() > 1e-4
+            assert clear.any()
+            step = -SMALL.learning_rate * slope.sign()
+            assert torch.allclose((now - before)[clear], step[clear], rtol=1e-2)
+    excess = tail.mean().item() - learner.limits[0]
+    assert learner.multiplier.item() == pytest.approx(0.5 + math.copysign(0.05, excess))
+    speed = learner.optimizers[-1].state[learner.multiplier]["exp_avg"]
+    assert speed.item() == pytest.approx(-0.1 * excess, rel=1e-4)
+    # The targets have followed by polyak.
+    for start, online, target in zip(
+        (*untouched.critic_target.parameters(), *untouched.cost_critic_target.parameters()),
+        (*learner.critic.parameters(), *learner.cost_critic.parameters()),
+        (*learner.critic_target.parameters(), *learner.cost_critic_target.parameters()),
+        strict=True,
+    ):
+        assert torch.allclose(target, start + 0.05 * (online - start), atol=1e-6)
+
+
 def test_the_multiplier_rises_where_the_limit_is_exceeded_and_falls_to_zero_elsewhere() -> None:
     learner = Wcsac(replace(SMALL, cost_limit=(0.2,)), SIZES, (0, 1))
     with torch.no_grad():
@@ -306,6 +359,15 @@ def test_the_cost_critic_sees_closenesses_to_a_power() -> None:
     again = Wcsac(replace(SMALL, sharpness=8.0), SIZES, (0, 1))
     again.load_state_dict(learner.state_dict())  # as a resumed run does
     assert again.view(standardised).equal(learner.view(standardised))
+
+
+def test_a_closeness_below_zero_counts_as_zero_to_any_power() -> None:
+    learner = Wcsac(replace(SMALL, sharpness=2.5), SIZES, (0, 1))
+    learner.look(lidar_like)
+    raw = torch.tensor([[[-3.0, -0.2, 0.0]], [[-1.0, -1e-7, 0.5]]])
+    found = learner.view(Scaling(lidar_like(1.0)).observation(raw))
+    expected = Scaling(lidar_like(2.5)).observation(raw)
+    assert found.numpy() == pytest.approx(expected.numpy(), abs=1e-4)
 
 
 def test_only_the_cost_critic_sees_them(monkeypatch: pytest.MonkeyPatch) -> None:
