@@ -126,8 +126,11 @@ def test_rows_of_a_lost_stretch_do_not_lie_over_the_window(tmp_path: Path) -> No
     for step in range(kept, killed):
         replay.add(step, arrival(step))
     assert replay.sample(5, kept, 32).observation.equal(expected)
-    replay.add(killed, arrival(killed))
-    assert numbers(replay, kept).min() >= 100 * (kept - CAPACITY)  # one step more still is fine
+    replay.add(killed, arrival(killed))  # one step more than the slack: the oldest is lost
+    oldest, lost = 100 * (kept - CAPACITY), 100 * killed
+    assert {int(x) // 100 * 100 for x in numbers(replay, kept)[0]} == {
+        *range(oldest + 100, 100 * kept, 100), lost
+    }  # fmt: skip
 
 
 def test_the_file_outlives_the_buffer(tmp_path: Path) -> None:
