@@ -44,7 +44,8 @@ def replayed(folder: Path, seed: int) -> Transitions:
     """All transitions in the replay buffer of a finished run, raw, copy by copy.
 
     Raises:
-        ValueError: if the run is not finished, or has not kept its buffer.
+        ValueError: if the run is not finished, or has not kept its buffer, or not all of it,
+            or if the seed has no violation.
     """
     config = training_run(folder)
     if not (folder / "result.json").is_file() or not (folder / "replay.bin").is_file():
@@ -59,7 +60,10 @@ def replayed(folder: Path, seed: int) -> Transitions:
         config.checkpoint_every // config.copies,
         *task_sizes(config.task),
     )
-    return replay.transitions(seed, config.steps // config.copies)
+    try:
+        return replay.transitions(seed, config.steps // config.copies)
+    except ValueError as error:
+        raise ValueError(f"{folder}: seed {seed}: {error}") from error
 
 
 def offline_data(
@@ -70,10 +74,20 @@ def offline_data(
     Args:
         task: the task of the run.
         keep: only so many steps before each violation, of both; None: everything.
+
+    Raises:
+        ValueError: as for :func:`replayed`, if ``random`` is negative, or if random actions
+            lead to no violation.
     """
+    if random < 0:
+        raise ValueError(f"random must not be negative, not {random}")
     parts = [keep_before_violation(replayed(runs, seed), keep)]
     if random:
-        parts.append(keep_before_violation(_random_transitions(task, random, rng), keep))
+        try:
+            drawn = _random_transitions(task, random, rng)
+        except ValueError as error:
+            raise ValueError(f"{task}, {random} random actions: {error}") from error
+        parts.append(keep_before_violation(drawn, keep))
     return concatenate(parts)
 
 

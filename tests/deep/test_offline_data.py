@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from deep.online.offline_data import offline_data, replayed
 from deep.online.plug import evaluate_policies
 from deep.online.train import train
 from deep.task_policy import TrainedPolicy
-from tests.deep.online_runs import SEEDS, TINY, blocking_filter, hand_made, same
+from tests.deep.online_runs import SEEDS, TINY, WRAPPED, blocking_filter, hand_made, same
 
 
 @pytest.fixture(scope="module")
@@ -128,6 +129,30 @@ def test_runs_without_a_buffer_are_refused(run: Path, tmp_path: Path) -> None:
     forgetful = tmp_path / "forgetful"
     train(replace(TINY, keep_replay=False), forgetful, quiet=True)
     with pytest.raises(ValueError, match="not a finished run that kept its replay buffer"):
+        offline_data("brake", forgetful, 0, 0, None, rng)
+
+
+def test_data_that_cannot_be_are_named(run: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    with pytest.raises(ValueError, match="^random must not be negative, not -1$"):
+        offline_data("brake", run, 0, -1, None, rng)
+    nothing = "costs: there is no violation in the data, so nothing to learn from$"
+    with pytest.raises(ValueError, match=f"^gym:Pendulum-v1, 4 random actions: {nothing}"):
+        offline_data("gym:Pendulum-v1", run, 0, 4, None, rng)
+    harmless = tmp_path / "harmless"
+    shutil.copytree(run, harmless)
+    columns = np.fromfile(harmless / "replay.bin", dtype=np.float32).reshape(-1, 10)
+    columns[:, 7:9] = 0  # costs and ends
+    columns.tofile(harmless / "replay.bin")
+    with pytest.raises(ValueError, match=f"harmless: seed 3: {nothing}"):
+        offline_data("brake", harmless, 3, 0, None, rng)
+    (harmless / "result.json").unlink()
+    with pytest.raises(ValueError, match="harmless: not a finished run that kept its replay"):
+        offline_data("brake", harmless, 3, 0, None, rng)
+    forgetful = tmp_path / "wrapped"
+    train(WRAPPED, forgetful, quiet=True)
+    message = "wrapped: seed 0: the replay buffer holds 35 steps, not 60$"
+    with pytest.raises(ValueError, match=message):
         offline_data("brake", forgetful, 0, 0, None, rng)
 
 
