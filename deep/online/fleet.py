@@ -115,9 +115,14 @@ class Fleet:
         task: as for :func:`make_vector_env`.
         seeds: the K seeds.
         copies: N.
+
+    Raises:
+        ValueError: if there is no seed, or as for :func:`make_vector_env`.
     """
 
     def __init__(self, task: str, seeds: Sequence[int], copies: int) -> None:
+        if not seeds:
+            raise ValueError("seeds: give at least one")
         self.seeds = tuple(seeds)
         self.envs = [make_vector_env(task, copies) for _ in seeds]
 

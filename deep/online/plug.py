@@ -43,8 +43,10 @@ def evaluate_policies(
 
     Raises:
         ValueError: if a run is missing or unfinished, lacks a seed or does not fit the task,
-            or if ``out`` holds a run.
+            if ``out`` holds a run, or a threshold is given without filters.
     """
+    if threshold is not None and safety is None:
+        raise ValueError("threshold needs filters: safety")
     path = policies / "result.json"
     if not path.is_file():
         raise ValueError(f"{policies}: not a finished run (no result.json)")

@@ -67,6 +67,8 @@ def said(words: Sequence[object], capsys: pytest.CaptureFixture[str]) -> str:
         (["--task", "gym:Nowhere-v1"], "there is no Gymnasium environment 'Nowhere-v1': "),
         (["--task", "real:nowhere"], "there is no real task 'nowhere'; there are static-env, "),
         (["--task", "brake", "--safety", "CRITICS", "--seeds", "5"], ": seed 5 was not pretrained"),
+        (["--task", "brake", "--seeds"], "seeds: give at least one"),
+        (["--task", "brake", "--seeds", "1", "1"], "seeds must be distinct non-negative"),
         (["--task", "brake", "--safety", "CRITICS/no"], "no: there is no run here"),
         (["--task", "brake", "--safety", "SAC"], "sac/config.json: not a pretraining run ("),
         (
@@ -179,6 +181,17 @@ def test_an_unfinished_pretraining_is_no_filter(sac: Path, tmp_path: Path) -> No
         with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
             evaluate_policies(sac, folder, out, episodes=2)
     assert not out.exists()
+
+
+def test_a_threshold_without_filters_is_refused(
+    sac: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["evaluate", "--policy", sac, "--out", tmp_path / "out", "--episodes", "2"]
+    assert said([*words, "--threshold", "0.5"], capsys) == "threshold needs filters: safety"
+    choice = tmp_path / "choice.json"
+    choice.write_text('{"threshold": 0.5}')
+    assert said([*words, "--threshold-from", choice], capsys) == "threshold needs filters: safety"
+    assert not (tmp_path / "out").exists()
 
 
 def test_an_evaluation_replaces_no_run(sac: Path) -> None:
