@@ -66,7 +66,7 @@ PARTS = (
         "train",
         "Lines: IQM over seeds; bands: its 95% interval. IQL trains offline and has no curve; "
         "without a filter there are no corrections. Shares are those within a twentieth of the "
-        "training.",
+        "training. Returns have a scale of their own on each task.",
         None,
         training_figure,
     ),

@@ -20,7 +20,7 @@ from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, MaxNLocat
 
 from deep.report_runs import Run, SeedResult, Study
 from deep.report_statistics import Floats, band, estimate
-from deep.report_tables import ABLATION_FORMS, EPSILON_FORMS, label
+from deep.report_tables import EPSILON_FORMS, ablation_forms, label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -152,7 +152,7 @@ def training_figure(study: Study) -> Figure:
 
 def ablation_figure(study: Study) -> Figure:
     """The forms of pretraining behind SAC, all at one threshold."""
-    return _curves(study, "ablation", ABLATION_FORMS)
+    return _curves(study, "ablation", ablation_forms(study))
 
 
 def _grid(

@@ -15,8 +15,8 @@ from deep.report_runs import METHODS, Run, SeedResult, Study
 from deep.report_statistics import Estimate, estimate
 
 __all__ = [
-    "ABLATION_FORMS",
     "EPSILON_FORMS",
+    "ablation_forms",
     "ablation_table",
     "epsilon_table",
     "label",
@@ -29,8 +29,10 @@ MISSING = "missing"
 NONE = "–"
 PLUG_POLICIES = ("sac", "iql")
 PLUG_FILTERS = ("rrl", "dea-rrl", "dea-rrl-annealed")
-ABLATION_FORMS = ("rrl", "rrl-msdp", "dearrl-iql", "dea-rrl", "dea-rrl-annealed")
-EPSILON_FORMS = ("rrl", "dea-rrl", "dea-rrl-annealed")
+ABLATION_FORMS = ("rrl", "rrl-msdp", "dearrl-iql", "dea-rrl")
+"""The forms with one gamma_safe, to which one epsilon means the same."""
+EPSILON_FORMS = (*ABLATION_FORMS, "dea-rrl-annealed")
+"""WCSAC's limit is no epsilon: it has rows in the table, and no place on the axis."""
 
 DIGITS = {"acr": 2, "avr": 3, "tv": 0, "arr": 3, "training_arr": 3, "length": 0}
 """The fields of a seed's result that tables show, with their decimals."""
@@ -233,13 +235,18 @@ def _outcomes(seeds: Sequence[SeedResult]) -> list[str]:
     return [_cell(seeds, field) for field in OUTCOMES.values()]
 
 
+def ablation_forms(study: Study) -> tuple[str, ...]:
+    """Those that belong there, and what else was run."""
+    return tuple(dict.fromkeys((*ABLATION_FORMS, *study.methods("ablation"))))
+
+
 def ablation_table(study: Study) -> str:
     """A table a task: the forms of pretraining at one threshold."""
     runs = study.section("ablation")
     parts = []
     for task in study.tasks():
         rows = []
-        for form in ABLATION_FORMS:
+        for form in ablation_forms(study):
             run = runs.get((task, form))
             if run is None:
                 numbers = [*[MISSING] * len(OUTCOMES), *[NONE] * (1 + len(BUDGET))]

@@ -399,13 +399,13 @@ def test_ablation_and_epsilon_figures(whole: Path) -> None:
     figure = epsilon_figure(study)
     total = figure.axes[4]
     lines = {str(line.get_label()): line for line in total.get_lines()}
-    assert list(lines) == ["rrl", "dea-rrl", "dea-rrl-annealed"]
+    assert list(lines) == ["rrl", "rrl-msdp", "dearrl-iql", "dea-rrl", "dea-rrl-annealed"]
     run = study.section("select")["static-env", "dea-rrl"]
     assert lines["dea-rrl"].get_xydata().tolist() == [
         [seed.threshold, seed.tv] for seed in run.seeds
     ]
     rings = [found for found in total.collections if found.get_sizes().tolist() == [90]]
-    assert [ring.get_offsets().tolist() for ring in rings][1] == [[0.3, run.seeds[2].tv]]
+    assert [ring.get_offsets().tolist() for ring in rings][3] == [[0.3, run.seeds[2].tv]]
     assert total.get_ylim()[1] > max(seed.tv or 0 for seed in run.seeds)
 
 
