@@ -18,6 +18,7 @@ from deep.online.offline import OfflineConfig, train_offline
 from deep.online.offline_data import offline_data, training_run
 from deep.online.plug import evaluate_policies
 from deep.online.train import train
+from deep.online.wcsac import WcsacSettings
 
 __all__ = ["ChooseThreshold", "Evaluate", "OfflineData", "Train", "TrainOffline", "seed_lines"]
 
@@ -53,6 +54,9 @@ class Train:
         if self.threshold_from is not None:
             if config.threshold is not None:
                 raise ValueError("give either threshold or threshold_from")
+            method = config.method
+            if isinstance(method, WcsacSettings) and method.cost_limit != WcsacSettings.cost_limit:
+                raise ValueError("give either cost_limit or threshold_from")
             config = config.with_threshold(read_threshold(self.threshold_from))
         for line in seed_lines(train(config, self.out).seeds):
             print(line)

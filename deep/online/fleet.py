@@ -86,9 +86,9 @@ def check_fit(what: str, found: Sizes, task: str, sizes: Sizes) -> None:
         )
 
 
-def environment_seed(seed: int, stream: int) -> int:
-    """A number for an environment's generator, from a run's seed and a stream's number."""
-    return int(np.random.SeedSequence((seed, stream)).generate_state(1)[0])
+def environment_seed(seed: int, *stream: int) -> int:
+    """A number for an environment's generator, from a run's seed and a stream's numbers."""
+    return int(np.random.SeedSequence((seed, *stream)).generate_state(1)[0])
 
 
 class Arrived(NamedTuple):
@@ -136,11 +136,11 @@ class Fleet:
         """Coordinates of an action."""
         return int(np.prod(self.envs[0].single_action_space.shape or ()))
 
-    def reset(self) -> NDArray[np.float32]:
-        """First observations (K, N, o)."""
+    def reset(self, step: int = 0) -> NDArray[np.float32]:
+        """First observations (K, N, o), other ones at each ``step`` that a run goes on from."""
         return np.stack(
             [
-                env.reset(seed=environment_seed(seed, ENVIRONMENT_STREAM))[0]
+                env.reset(seed=environment_seed(seed, ENVIRONMENT_STREAM, step))[0]
                 for env, seed in zip(self.envs, self.seeds, strict=True)
             ]
         )

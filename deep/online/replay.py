@@ -121,6 +121,11 @@ class Replay:
         )
         return TaskBatch(*(torch.from_numpy(np.ascontiguousarray(x)) for x in tensors))
 
+    def cut(self, steps: int) -> None:
+        """The episodes of the last of ``steps`` steps do not go on in the next, as if timed out."""
+        first = (steps - 1) % self.size * self.copies
+        self._rows[:, first : first + self.copies, -1] = 1
+
     def flush(self) -> None:
         """Hand what was written to the disk."""
         self._rows.flush()

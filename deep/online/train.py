@@ -165,6 +165,7 @@ class _Run:
                 if done % config.log_every == 0 or self.step == total:
                     self._log(done, losses)
                 if done % config.evaluate_every == 0 and self.scaling:
+                    self._checked(done, latest)
                     self._log_evaluation(done)
                 if done % config.checkpoint_every == 0 or stop or self.step == total:
                     self._checked(done, latest)
@@ -306,5 +307,6 @@ class _Run:
             self.scaling = Scaling([Normalisation.from_json(n) for n in rest["normalisation"]])
         if rest["environments"] is None:
             self.counts.running_return[:] = self.counts.running_length[:] = 0
-            return self.fleet.reset()
+            self.replay.cut(self.step)
+            return self.fleet.reset(self.step)
         return self.fleet.restore(rest["environments"])

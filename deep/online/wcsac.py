@@ -76,7 +76,7 @@ class WcsacSettings(SacSettings):
             to this power, as the safety critics of Algorithm 1 can
             (:class:`deep.config.PretrainConfig`).
         multiplier_rate: Adam's learning rate of lambda, which weighs CVaR against scaled
-            rewards and begins at 0.
+            rewards and begins at 0; it slides like the others.
     """
 
     gamma_safe: float = 0.99

@@ -252,5 +252,10 @@ def test_a_resumed_run_begins_new_episodes(tmp_path: Path, monkeypatch: pytest.M
     with pytest.raises(KeyboardInterrupt):
         train(PENDULUM, tmp_path, quiet=True)
     found = train(PENDULUM, tmp_path, quiet=True)
+    replay = Replay(tmp_path / "replay.bin", (0, 3), 2, 410, 205, 3, 1)
+    rows = replay._rows.reshape(2, 615, 2, 12)[:, :410]
+    # Other episodes than the first, and none of them across the seam.
+    assert not (rows[:, 0, :, :3] == rows[:, 205, :, :3]).any()
+    assert np.flatnonzero(rows[0, :, 0, 11]).tolist() == [199, 204, 404]
     # 205 steps before the checkpoint end one episode of each copy, 205 after it another.
     assert [entry["episodes"] for entry in found.seeds] == [4, 4]

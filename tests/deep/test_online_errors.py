@@ -194,6 +194,20 @@ def test_a_threshold_without_filters_is_refused(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_threshold_is_given_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    choice = tmp_path / "choice.json"
+    choice.write_text('{"threshold": 0.5}')
+    words = ["train", "--task", "brake", "--out", tmp_path / "out", *SHORT]
+    words += ["--threshold-from", choice]
+    given = [*words, "wcsac", "--cost-limit", "0.1"]
+    assert said(given, capsys) == "give either cost_limit or threshold_from"
+    given = [*words, "--threshold", "0.4", "sac"]
+    assert said(given, capsys).endswith(
+        "threshold, safety_seeds and finetune need a pretraining run: safety"
+    )
+    assert not (tmp_path / "out").exists()
+
+
 def test_an_evaluation_replaces_no_run(sac: Path) -> None:
     before = (sac / "result.json").read_bytes()
     with pytest.raises(ValueError, match="sac holds a run, whose result an evaluation would"):

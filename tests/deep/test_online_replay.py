@@ -169,6 +169,22 @@ def test_forgotten_transitions_are_not_given_out(tmp_path: Path) -> None:
         replay.transitions(2, 15)
 
 
+@pytest.mark.parametrize("steps", [8, 10, 13])
+def test_a_cut_ends_episodes_by_the_clock_and_no_violation(steps: int, tmp_path: Path) -> None:
+    """Steps 0 to 4, 5 to 9 and 10 to 14 are episodes; the tenth ends one anyway."""
+    replay = filled(tmp_path, steps)
+    replay.cut(steps)
+    replay.add(steps, arrival(steps))
+    for k, seed in enumerate(SEEDS):
+        data = replay.transitions(seed, steps + 1)
+        places = [n * (steps + 1) + steps - 1 for n in range(COPIES)]
+        violation = arrival(steps - 1).terminal[k].astype(bool)
+        assert data.terminals[places].tolist() == violation.tolist()
+        assert data.timeouts[places].tolist() == (~violation).tolist()
+        ends = 2 + (steps - 1) // 5  # whole episodes, the cut, and where the recording ends
+        assert data.timeouts.sum() + data.terminals.sum() == COPIES * ends
+
+
 @pytest.mark.parametrize("steps", [8, 23])
 def test_the_normalisation_is_each_seeds_own(steps: int, tmp_path: Path) -> None:
     """Of what a resumed run finds again: the rows that it would sample from."""
