@@ -1,0 +1,57 @@
+"""The benchmark of stand-offs: what it counts, with a policy and a filter made by hand."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+import pytest
+
+from benchmarks.stand_off import COPIES, STEPS, watched
+from deep.safety_filter import Normalisation, SafetyFilter
+from deep.task_policy import TrainedPolicy
+from deep.tasks import PointGoal1
+from deep.tasks.task import Floats
+
+
+class EveryNth:
+    """Full thrust every n-th step, else full reverse."""
+
+    def __init__(self, n: int) -> None:
+        self.n = n
+        self.step = 0
+
+    def act(self, observation: Floats) -> Floats:
+        """The same for every copy."""
+        thrust = 1.0 if self.step % self.n == 0 else -1.0
+        self.step += 1
+        return np.tile(np.array([thrust, 0.3], dtype=np.float32), (len(observation), 1))
+
+
+def thrust_is_danger() -> SafetyFilter:
+    """Q = sigmoid(2 a_0); the recovery action is a slow turn backwards."""
+    o = PointGoal1.observation_dim
+    weights = np.zeros((1, o + 2, 1), dtype=np.float32)
+    weights[0, o] = 2.0
+    recovery = np.arctanh(np.array([-0.5, -0.25, 0, 0], dtype=np.float32))
+    return SafetyFilter(
+        critic=((weights, np.zeros((1, 1, 1), dtype=np.float32)),),
+        recovery=((np.zeros((o, 4), dtype=np.float32), recovery),),
+        threshold=0.5,
+        normalisation=Normalisation.identity(o, 2),
+        reach=1.0,
+        gamma_safe=0.99,
+        method="by hand",
+        seed=0,
+    )
+
+
+@pytest.mark.parametrize(("n", "arr", "alone"), [(1, 1.0, 0.0), (2, 0.5, 1.0), (3, 1 / 3, 1.0)])
+def test_taking_turns_is_told_from_correction_without_end(n: int, arr: float, alone: float) -> None:
+    found = watched(cast(TrainedPolicy, EveryNth(n)), thrust_is_danger())
+    assert STEPS % n == 0
+    assert COPIES > 1
+    assert found["arr"] == pytest.approx(arr)
+    assert found["alone"] == alone
+    assert (found["thrust"], found["turn"]) == pytest.approx((-0.5, 0.25), abs=1e-6)
+    assert 0 < found["speed"] < 1.6
