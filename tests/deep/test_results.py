@@ -1,17 +1,23 @@
-"""The published study: its tables are what the report makes of its runs, and pages quote them."""
+"""The published study: its tables are what the report makes of its runs, and so are the page's."""
 
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from deep.online.config import train_config_from_json
 from deep.report import report
+from deep.report_runs import METHODS, Run, read_study
+from deep.report_statistics import estimate
 
 ROOT = Path(__file__).parents[2]
 STUDY, REPORT = ROOT / "results" / "study", ROOT / "results" / "report"
+PAGE = ROOT / "docs" / "results.md"
+PAPER = r"(?: \([\d.,]+\))?"
 RUNS = sorted(path.parent for path in STUDY.glob("*/*/*/result.json"))
 
 
@@ -44,3 +50,31 @@ def test_every_run_says_what_it_was(run: Path) -> None:
         config = train_config_from_json(content["run"])
         assert config.steps == result["budget"]["env_steps"]
         assert config.episodes == result["budget"]["evaluation_episodes"]
+
+
+def cells(run: Run, *fields: tuple[str, int]) -> str:
+    """A row's numbers as the page has them, some with the paper's in parentheses."""
+    shown = []
+    for field, digits in fields:
+        numbers = [getattr(seed, field) for seed in run.seeds]
+        value = 0.0 if None in numbers else estimate(numbers).value
+        shown.append(re.escape(f"{value:,.{digits}f}") + PAPER)
+    return r" \| ".join(shown)
+
+
+def quoted() -> Iterator[tuple[str, str]]:
+    """Each run's folder, and what its row looks like."""
+    for run in read_study(STUDY).runs:
+        policy, plus, safety = run.method.partition("+")
+        name = re.escape(f"with {METHODS[safety]}" if plus else METHODS[policy])
+        outcome = ("acr", 2), ("avr", 3)
+        match run.section:
+            case "train" | "ablation":
+                yield run.folder, rf"\| {name} \| {cells(run, *outcome, ('tv', 0))} \|"
+            case "plug":
+                yield run.folder, rf"\| {name} \| {cells(run, *outcome, ('arr', 3))} \|"
+
+
+@pytest.mark.parametrize(("folder", "row"), list(quoted()))
+def test_the_page_has_every_run(folder: str, row: str) -> None:
+    assert re.search(row, PAGE.read_text()), folder
