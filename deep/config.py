@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,6 +18,7 @@ from deep.collect import (
     uniform_starts,
 )
 from deep.data import Transitions
+from deep.folder import from_plain
 from deep.pretrain import (
     SETTINGS,
     DeaRrlAnnealedSettings,
@@ -177,24 +178,8 @@ def config_from_json(plain: dict[str, Any]) -> PretrainConfig:
         settings = dict(plain["method"])
         kind = SETTINGS[settings.pop("name")]
         data = plain["data"]
-        return PretrainConfig(
-            **(
-                plain
-                | {
-                    "method": _dataclass(kind, settings),
-                    "mix": _dataclass(Mix, plain["mix"]),
-                    "seeds": tuple(plain["seeds"]),
-                    "data": None if data is None else Path(data),
-                }
-            )
-        )
+        nested = {"method": from_plain(kind, settings), "mix": from_plain(Mix, plain["mix"])}
+        path = None if data is None else Path(data)
+        return from_plain(PretrainConfig, plain | nested | {"data": path})
     except (KeyError, TypeError) as error:
         raise ValueError(f"not the configuration of a run: {error}") from error
-
-
-def _dataclass(kind: type[Any], plain: dict[str, Any]) -> Any:
-    """An instance whose tuples came back from JSON as lists."""
-    names = {f.name for f in fields(kind)}
-    if set(plain) != names:
-        raise TypeError(f"{kind.__name__}: expected the entries {sorted(names)}")
-    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in plain.items()})

@@ -10,15 +10,21 @@ import platform
 import signal
 import subprocess
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from importlib import metadata
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from dead_ends.io.atomic import atomic_path
 
-__all__ = ["CsvLog", "InterruptAfterUpdate", "fingerprint", "read_object", "versions"]
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+__all__ = ["CsvLog", "InterruptAfterUpdate", "fingerprint", "from_plain", "read_object", "versions"]
+
+Config = TypeVar("Config", bound="DataclassInstance")
 
 
 def versions() -> dict[str, str]:
@@ -60,6 +66,18 @@ def read_object(path: Path, *entries: str) -> dict[str, Any]:
     if missing:
         raise ValueError(f"{path}: {missing[0]!r} is missing")
     return content
+
+
+def from_plain(kind: type[Config], plain: Mapping[str, Any]) -> Config:
+    """A dataclass from what ``asdict`` and JSON made of it: their lists were tuples.
+
+    Raises:
+        TypeError: naming the first entry that is missing or unknown.
+    """
+    names = {f.name for f in fields(kind)}
+    for name in sorted(names ^ set(plain)):
+        raise TypeError(f"{name!r} is {'missing' if name in names else 'unknown'}")
+    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in plain.items()})
 
 
 def fingerprint(path: Path | None) -> str | None:

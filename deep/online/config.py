@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
 import tyro
 
+from deep.folder import from_plain
 from deep.online.learner import TaskLearner, TaskSettings
 from deep.online.sac import Sac, SacSettings
 from deep.online.wcsac import Wcsac, WcsacSettings
@@ -154,17 +155,9 @@ def train_config_from_json(plain: dict[str, Any]) -> TrainConfig:
     try:
         settings = dict(plain["method"])
         kind = LEARNERS[settings.pop("name")]
-        if set(settings) != {f.name for f in fields(kind)}:
-            raise TypeError(f"{kind.__name__}: not its settings")
-        if set(plain) != {f.name for f in fields(TrainConfig)}:
-            raise TypeError("not the entries of a TrainConfig")
-        method: Any = kind(**_tuples(settings))
         safety = None if plain["safety"] is None else Path(plain["safety"])
-        return TrainConfig(**_tuples(plain) | {"method": method, "safety": safety})
+        return from_plain(
+            TrainConfig, plain | {"method": from_plain(kind, settings), "safety": safety}
+        )
     except (KeyError, TypeError) as error:
         raise ValueError(f"not the configuration of a run: {error}") from error
-
-
-def _tuples(plain: dict[str, Any]) -> dict[str, Any]:
-    """JSON has made lists of tuples."""
-    return {k: tuple(v) if isinstance(v, list) else v for k, v in plain.items()}

@@ -124,7 +124,9 @@ class Replay:
     def cut(self, steps: int) -> None:
         """The episodes of the last of ``steps`` steps do not go on in the next, as if timed out."""
         first = (steps - 1) % self.size * self.copies
-        self._rows[:, first : first + self.copies, -1] = 1
+        last = self._rows[:, first : first + self.copies]
+        terminal, timeout = (Arrival._fields.index(name) for name in ("terminal", "timeout"))
+        last[..., self._edges[timeout]] = 1 - last[..., self._edges[terminal]]
 
     def flush(self) -> None:
         """Hand what was written to the disk."""

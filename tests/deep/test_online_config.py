@@ -102,7 +102,7 @@ def test_a_missing_entry_is_refused(where: str) -> None:
     for name in outer:
         place = place[name]
     del place[last]
-    with pytest.raises(ValueError, match="^not the configuration of a run: "):
+    with pytest.raises(ValueError, match=f"^not the configuration of a run: .*{last}"):
         train_config_from_json(plain)
 
 
@@ -110,7 +110,7 @@ def test_an_unknown_entry_is_refused() -> None:
     plain = train_config_to_json(TINY)
     unknown = plain["method"] | {"name": "dqn"}
     for wrong in ({"colour": 3}, {"method": unknown}, {"method": plain["method"] | {"b": 1}}):
-        with pytest.raises(ValueError, match="^not the configuration of a run: "):
+        with pytest.raises(ValueError, match="^not the configuration of a run: '(colour|dqn|b)'"):
             train_config_from_json(plain | wrong)
 
 

@@ -130,7 +130,14 @@ def test_environments_that_cannot_be_kept_begin_new_episodes(
     killed_after(31, TINY, tmp_path)
     trained = train(TINY, tmp_path, quiet=True)
     columns = raw_replay(tmp_path, TINY)
-    fresh = Fleet("brake", SEEDS, 4).reset()
+    # The seam: whatever was under way is cut off there, as by the clock.
+    assert np.array_equal(columns["timeout"][:, 29], 1 - columns["terminal"][:, 29])
+    train(TINY, tmp_path / "whole", quiet=True)
+    uncut = raw_replay(tmp_path / "whole", TINY)
+    assert np.array_equal(columns["terminal"][:, :30], uncut["terminal"][:, :30])
+    columns["timeout"][:, 29] = uncut["timeout"][:, 29]
+    first, fresh = (Fleet("brake", SEEDS, 4).reset(step) for step in (0, 30))
+    assert not (first == fresh).any()  # or a run that is killed often sees the same ones
     for k in range(2):
         assert np.array_equal(columns["observation"][k, 30], fresh[k])
         ended = columns["terminal"][k, :60] + columns["timeout"][k, :60]

@@ -240,6 +240,11 @@ def test_configurations_survive_json_and_resolve_by_the_horizon() -> None:
         resolve(replace(TINY, threshold=0.2), None)
     with pytest.raises(ValueError, match="not the configuration of a run"):
         config_from_json({"method": {"name": "sac"}})
+    plain = config_to_json(TINY)
+    for entry in ("seeds", "sharpness"):
+        lacking = {name: value for name, value in plain.items() if name != entry}
+        with pytest.raises(ValueError, match=f"of a run: '{entry}' is missing$"):
+            config_from_json(lacking)
 
 
 def test_the_discount_from_the_horizon_leaves_the_largest_residual() -> None:
