@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from deep.__main__ import parse
-from deep.config import PretrainConfig
+from deep.__main__ import Pretrain, parse
+from deep.config import MethodChoice, PretrainConfig
 from deep.grid import Job
 from deep.online.commands import ChooseThreshold, Evaluate, OfflineData, Train, TrainOffline
+from deep.online.config import TrainConfig
+from deep.online.offline import OfflineConfig
 from deep.online.wcsac import WcsacSettings
+from deep.pretrain import (
+    DeaRrlAnnealedSettings,
+    DearrlIqlSettings,
+    DeaRrlSettings,
+    RrlMsdpSettings,
+    RrlSettings,
+)
 from deep.study import FORMS, METHODS, StudyConfig, study_jobs
 
 CONFIG = StudyConfig(
@@ -87,6 +97,139 @@ def test_thresholds_are_chosen_on_seeds_that_no_result_comes_from() -> None:
         if "/train/" in name and method in (*FORMS, "wcsac"):
             chosen = Path("study", name.partition("/")[0], "select", method, "threshold.json")
             assert command.threshold_from == chosen
+
+
+OTHER = StudyConfig(
+    out=Path("o"),
+    tasks=("brake",),
+    seeds=(7, 8),
+    selection_seeds=(50, 51),
+    steps=900_000,
+    selection_steps=110_000,
+    limit_selection_steps=210_000,
+    pretrain_updates=11,
+    iql_updates=12,
+    random=13,
+    keep=14,
+    sharpness=3.0,
+    horizon=15,
+    candidates=(0.1, 0.2),
+    annealed_candidates=(0.3, 0.4),
+    limits=(0.6, 0.7),
+    safety_share=0.8,
+    ablation_task="brake",
+    ablation_threshold=0.9,
+    ablation_steps=120_000,
+    real_tasks=("brake",),
+    real_steps=130_000,
+    real_episodes=16,
+)
+"""No number twice, and none as by default."""
+HOME = Path("o/brake")
+PRETRAINED: dict[str, MethodChoice] = {
+    "dea-rrl": DeaRrlSettings(learning_rate=1e-3, batch_size=128, polyak=0.1),
+    "rrl": RrlSettings(learning_rate=1e-3, batch_size=128, polyak=0.1),
+    "rrl-msdp": RrlMsdpSettings(learning_rate=1e-3, batch_size=128, polyak=0.1),
+    "dearrl-iql": DearrlIqlSettings(learning_rate=1e-3, batch_size=128, polyak=0.1),
+    "dea-rrl-annealed": DeaRrlAnnealedSettings(
+        learning_rate=1e-3, batch_size=128, final_expectile=0.1
+    ),
+}
+
+
+def chosen_for(method: str) -> Path:
+    return HOME / "select" / method / "threshold.json"
+
+
+def commands_of_a_form(form: str) -> dict[str, object]:
+    """Pretraining on the results' seeds and the first of the others, which all others use."""
+    safety = HOME / "pretrain" / form
+    candidates = (0.3, 0.4) if form == "dea-rrl-annealed" else (0.1, 0.2)
+    pretrained = PretrainConfig(
+        data=HOME / "data/offline.hdf5",
+        method=PRETRAINED[form],
+        seeds=(7, 8, 50),
+        updates=11,
+        horizon=15,
+        sharpness=3.0,
+    )
+    long = TrainConfig(task="brake", safety=safety, seeds=(7, 8), steps=900_000)
+    at_one = replace(long, threshold=(0.9,), steps=120_000)
+    short = replace(
+        long, safety_seeds=(50, 50), threshold=candidates, seeds=(50, 51), steps=110_000
+    )
+    found: dict[str, object] = {
+        f"pretrain/{form}": Pretrain(safety, pretrained),
+        f"select/{form}": Train(HOME / "select" / form, short),
+        f"train/{form}": Train(HOME / "train" / form, long, chosen_for(form)),
+    }
+    if form != "dea-rrl-annealed":
+        found[f"ablation/{form}"] = Train(HOME / "ablation" / form, at_one)
+    return found
+
+
+def other_commands() -> dict[str, object]:
+    """Those of data and of the baselines, and the choices."""
+    sac = HOME / "data/sac"
+    wcsac = WcsacSettings(sharpness=3.0)
+    limits = WcsacSettings(sharpness=3.0, cost_limit=(0.6, 0.7))
+    long = TrainConfig(task="brake", seeds=(7, 8), steps=900_000)
+    recorded = TrainConfig(task="brake", seeds=(50,), steps=900_000, keep_replay=True)
+    short = TrainConfig(task="brake", method=limits, seeds=(50, 51), steps=210_000)
+    iql = OfflineConfig(task="brake", data=HOME / "data/replay.hdf5", seeds=(7, 8), updates=12)
+    return {
+        "data/sac": Train(sac, recorded),
+        "data/offline.hdf5": OfflineData(sac, HOME / "data/offline.hdf5", 50, 13, 14),
+        "data/replay.hdf5": OfflineData(sac, HOME / "data/replay.hdf5", 50, 0, None),
+        "train/sac": Train(HOME / "train/sac", long),
+        "train/iql": TrainOffline(HOME / "train/iql", iql),
+        "select/wcsac": Train(HOME / "select/wcsac", short),
+        "train/wcsac": Train(
+            HOME / "train/wcsac", replace(long, method=wcsac), chosen_for("wcsac")
+        ),
+    } | {
+        f"select/{method}/threshold.json": ChooseThreshold(
+            HOME / "select" / method, sac, chosen_for(method), 0.8
+        )
+        for method in (*FORMS, "wcsac")
+    }
+
+
+def commands_with_trained_filters() -> dict[str, object]:
+    """Plugged together, and on the real task; names from the task's folder on."""
+    plugged = {
+        f"plug/{policy}+{form}": Evaluate(
+            HOME / "train" / policy,
+            HOME / "plug" / f"{policy}+{form}",
+            HOME / "pretrain" / form,
+            threshold_from=chosen_for(form),
+        )
+        for form in ("rrl", "dea-rrl", "dea-rrl-annealed")
+        for policy in ("sac", "iql")
+    }
+    real = TrainConfig(task="real:brake", seeds=(7,), steps=130_000, episodes=16)
+    place = Path("o/real-brake/train")
+    return {
+        **plugged,
+        "../real-brake/train/sac": Train(place / "sac", real),
+        **{
+            f"../real-brake/train/{form}": Train(
+                place / form, replace(real, safety=HOME / "pretrain" / form), chosen_for(form)
+            )
+            for form in ("rrl", "dea-rrl", "dea-rrl-annealed")
+        },
+    }
+
+
+def test_every_number_of_a_study_reaches_its_commands() -> None:
+    expected = other_commands() | commands_with_trained_filters()
+    for form in FORMS:
+        expected |= commands_of_a_form(form)
+    found = {
+        job.name.removeprefix("brake/").replace("real-", "../real-"): parse(job.command)
+        for job in study_jobs(OTHER)
+    }
+    assert found == expected
 
 
 def test_wcsac_tries_a_limit_a_seed_and_sees_lidars_as_the_others_critics_do() -> None:
