@@ -61,6 +61,7 @@ def test_a_choice_is_read_as_it_was_written(tmp_path: Path) -> None:
         {"threshold": 0.1, "violations": 2},
         {"threshold": 0.3, "violations": 5},
     ]
+    assert (content["threshold"], content["allowed violations"]) == (0.3, 5.0)
     assert content["met"] is True
 
 

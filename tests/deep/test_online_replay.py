@@ -203,6 +203,22 @@ def test_the_normalisation_is_each_seeds_own(steps: int, tmp_path: Path) -> None
     assert replace(found[0], observation_centre=found[1].observation_centre) != found[0]
 
 
+def test_the_normalisation_of_closenesses_can_be_that_of_their_powers(tmp_path: Path) -> None:
+    replay = buffer(tmp_path)
+    rng = np.random.default_rng(0)
+    seen = rng.random((8, 2, COPIES, 2), dtype=np.float32)
+    seen[..., 0] *= 4  # a speed; the other is a closeness
+    for step, observation in enumerate(seen):
+        replay.add(step, arrival(step)._replace(observation=observation))
+    plain, found = replay.normalisation(8), replay.normalisation(8, 6.0)
+    for k in range(2):
+        rows = seen[:, k].reshape(-1, 2)
+        assert plain[k].observation_power == ()
+        assert found[k].observation_power == (1.0, 6.0)
+        assert found[k].observation_centre == pytest.approx((rows ** [1, 6]).mean(axis=0), rel=1e-5)
+        assert found[k].observation_scale == pytest.approx((rows ** [1, 6]).std(axis=0), rel=1e-4)
+
+
 def test_action_noise_is_a_function_of_seed_and_step() -> None:
     both, alone = ActionNoise((4, 9), 3, 2), ActionNoise((9,), 3, 2)
     steps = (0, 63, 64, 200, 5)
