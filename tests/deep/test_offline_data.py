@@ -93,7 +93,7 @@ class Coin(gymnasium.Env[np.ndarray, np.ndarray]):
 
 @pytest.fixture
 def coin() -> Iterator[str]:
-    gymnasium.register("Coin-v0", entry_point=Coin, disable_env_checker=True)
+    gymnasium.register("Coin-v0", entry_point=lambda **_: Coin(), disable_env_checker=True)
     yield "gym:Coin-v0"
     del gymnasium.registry["Coin-v0"]
 
@@ -105,6 +105,8 @@ def test_foreign_environments_give_random_transitions_too(coin: str, tmp_path: P
     assert len(fresh) == 204  # four copies, as many steps each
     assert fresh.actions.shape == (204, 2)
     assert len(np.unique(fresh.actions)) > 400
+    assert -1 <= fresh.actions.min() < -0.95
+    assert 0.95 < fresh.actions.max() < 1
     assert np.array_equal(fresh.rewards, fresh.actions[:, 0])
     # Whole episodes one after another: each begins at 0, and ends at a cost or the fifth step.
     begins = np.append(True, fresh.ends[:-1])
@@ -118,6 +120,30 @@ def test_foreign_environments_give_random_transitions_too(coin: str, tmp_path: P
     assert same(data, again)
     other = offline_data(coin, tmp_path / "run", 0, 203, None, np.random.default_rng(6))
     assert not np.array_equal(other.actions, data.actions)
+
+
+class Jammed(Coin):
+    """Breaks in its first step."""
+
+    closed = 0
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        raise RuntimeError(f"jammed at {action}")
+
+    def close(self) -> None:
+        Jammed.closed += 1
+
+
+def test_environments_that_break_are_closed(run: Path) -> None:
+    gymnasium.register("Jammed-v0", entry_point=lambda **_: Jammed(), disable_env_checker=True)
+    try:
+        begun = Jammed.closed
+        with pytest.raises(RuntimeError, match="jammed at") as caught:
+            offline_data("gym:Jammed-v0", run, 0, 8, None, np.random.default_rng(0))
+        assert Jammed.closed - begun == 4  # while the traceback holds on to them
+        assert caught.tb is not None
+    finally:
+        del gymnasium.registry["Jammed-v0"]
 
 
 def test_runs_without_a_buffer_are_refused(run: Path, tmp_path: Path) -> None:
@@ -171,6 +197,17 @@ def test_a_policy_alone_and_behind_filters(run: Path, tmp_path: Path) -> None:
     assert content["task"] == "brake"
     assert [entry["threshold"] for entry in content["seeds"]] == [0.4, 0.4]
     assert content["budget"]["evaluation_episodes"] == 6
+    trained = json.loads((run / "result.json").read_text())["budget"]
+    for name in ("env_steps", "updates"):
+        assert content["budget"][name] == trained[name] > 0
+    paths = (content["policies"], content["safety"])
+    assert paths == (str(run), str(blocking))
+
+    # Each policy has the filter of its own seed.
+    own = {SEEDS[0]: blocking_filter(0.0, 0.4), SEEDS[1]: blocking_filter(0.0, 0.6)}
+    each = hand_made(tmp_path / "each", own)
+    found_each = evaluate_policies(run, each, tmp_path / "plugged-each", episodes=6)
+    assert [entry["arr"] for entry in found_each] == [1.0, 0.0]
 
     # Q = 1/2 everywhere: at another threshold nothing is blocked.
     free = evaluate_policies(run, blocking, tmp_path / "free", threshold=0.6, episodes=6)
