@@ -372,6 +372,14 @@ def test_a_constant_coordinate_is_only_centred() -> None:
     assert found.observation_centre == pytest.approx([9.81, 0.0, -400.0], abs=1e-5)
 
 
+def test_an_action_that_never_changes_is_only_centred() -> None:
+    data = transitions(np.random.default_rng(0).normal(size=(50, 2)))
+    actions = np.column_stack([np.linspace(-3, 1, 50), np.full(50, 0.4)])
+    found = normalisation_of(replace(data, actions=actions))
+    assert found.action_centre == pytest.approx((-1.0, 0.4))
+    assert found.action_scale == pytest.approx((2.0, 1.0))
+
+
 def test_scaled_tasks_keep_their_units(tmp_path: Path) -> None:
     for safety in pretrain(TINY, tmp_path / "run", quiet=True).filters:
         assert safety.normalisation == Normalisation.identity(2, 1)
@@ -525,11 +533,15 @@ def test_a_critic_of_no_use_is_a_finished_run_with_a_warning(
 def test_closenesses_are_sharpened_before_they_are_normalised(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     seen = np.column_stack(
-        [rng.uniform(0, 1, 500), rng.normal(size=500), np.zeros(500), rng.uniform(0, 1.1, 500)]
+        [
+            *(rng.uniform(0, 1, 500), rng.normal(size=500), np.zeros(500)),
+            *(rng.uniform(0, 1.1, 500), rng.uniform(-0.1, 1, 500)),
+        ]
     ).astype(np.float32)
     data = transitions(seen)
     found = normalisation_of(data, 8.0)
-    assert found.observation_power == (8.0, 1.0, 1.0, 1.0)  # only what stays in [0, 1] and varies
+    # Only what stays in [0, 1] and varies.
+    assert found.observation_power == (8.0, 1.0, 1.0, 1.0, 1.0)
     assert found.observation_centre[0] == pytest.approx((seen[:, 0] ** 8).mean(), rel=1e-5)
     assert found.observation_scale[0] == pytest.approx((seen[:, 0] ** 8).std(), rel=1e-4)
     assert normalisation_of(data).observation_power == ()
@@ -543,6 +555,6 @@ def test_closenesses_are_sharpened_before_they_are_normalised(tmp_path: Path) ->
         TINY, task=None, data=tmp_path / "data.hdf5", horizon=5, sharpness=8.0, updates=2
     )
     safety = pretrain(config, tmp_path / "run", quiet=True).filters[0]
-    assert safety.normalisation.observation_power == (8.0, 1.0, 1.0, 1.0)
+    assert safety.normalisation.observation_power == (8.0, 1.0, 1.0, 1.0, 1.0)
     with pytest.raises(ValueError, match="sharpness must be at least 1, not 0.5"):
         replace(config, sharpness=0.5)
