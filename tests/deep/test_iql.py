@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import math
 import os
 import signal
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+import deep.online.offline
 from deep.__main__ import main
 from deep.batches import Batches
 from deep.checkpoint import load_checkpoint, save_checkpoint
@@ -423,6 +426,33 @@ def test_a_run_that_was_stopped_ends_as_if_nothing_had_happened(
         assert (tmp_path / "cut" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
     for table in ("progress.csv", "evaluations.csv"):
         assert rows(tmp_path / "cut" / table) == rows(tmp_path / "whole" / table)
+
+
+def test_the_time_of_all_parts_of_a_run_is_added_up(
+    config: OfflineConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ticks = itertools.count()  # one when a part begins, one an update
+    clock = SimpleNamespace(perf_counter=lambda: float(next(ticks)))
+    monkeypatch.setattr(deep.online.offline, "time", clock)
+    update = Iql.update
+    done = 0
+
+    def stopping(self: Iql, batch: TaskBatch) -> TaskLosses:
+        nonlocal done
+        done += 1
+        if done == 20:
+            raise Stop
+        return update(self, batch)
+
+    monkeypatch.setattr(Iql, "update", stopping)
+    with pytest.raises(Stop):
+        train_offline(config, tmp_path / "run", quiet=True)
+    train_offline(config, tmp_path / "run", quiet=True)
+    budget = json.loads((tmp_path / "run" / "result.json").read_text())["budget"]
+    assert budget["wall_seconds"] == config.updates  # without the four that were lost
+    with (tmp_path / "run" / "progress.csv").open() as file:
+        logged = [(row["step"], row["seconds"]) for row in csv.DictReader(file)]
+    assert logged[::2] == [(str(step), f"{step}.0") for step in (10, 20, 30, 40)]
 
 
 def test_an_interrupt_saves_and_is_passed_on(

@@ -366,10 +366,10 @@ def test_mean_and_deviation_are_numpys_over_all_rows() -> None:
 def test_a_constant_coordinate_is_only_centred() -> None:
     rng = np.random.default_rng(0)
     rounding = rng.choice([-1e-6, 0, 1e-6], 500)
-    columns = np.stack([np.full(500, 9.81) + rounding, np.zeros(500), np.full(500, -400.0)], axis=1)
-    found = normalisation_of(transitions(columns))
-    assert found.observation_scale == (1.0, 1.0, 1.0)
-    assert found.observation_centre == pytest.approx([9.81, 0.0, -400.0], abs=1e-5)
+    values = (9.81 + rounding, np.zeros(500), np.full(500, -400.0), -400 + 100 * rounding)
+    found = normalisation_of(transitions(np.column_stack(values)))
+    assert found.observation_scale == (1.0, 1.0, 1.0, 1.0)
+    assert found.observation_centre == pytest.approx([9.81, 0.0, -400.0, -400.0], abs=1e-4)
 
 
 def test_an_action_that_never_changes_is_only_centred() -> None:
