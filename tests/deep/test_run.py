@@ -372,12 +372,15 @@ def test_a_constant_coordinate_is_only_centred() -> None:
     assert found.observation_centre == pytest.approx([9.81, 0.0, -400.0, -400.0], abs=1e-4)
 
 
-def test_an_action_that_never_changes_is_only_centred() -> None:
+def test_actions_fill_their_range_and_one_that_never_changes_is_only_centred() -> None:
     data = transitions(np.random.default_rng(0).normal(size=(50, 2)))
     actions = np.column_stack([np.linspace(-3, 1, 50), np.full(50, 0.4)])
-    found = normalisation_of(replace(data, actions=actions))
+    data = replace(data, actions=actions)
+    found = normalisation_of(data)
     assert found.action_centre == pytest.approx((-1.0, 0.4))
     assert found.action_scale == pytest.approx((2.0, 1.0))
+    expected = np.column_stack([np.linspace(-1, 1, 50), np.zeros(50)])
+    assert normalise(data, found).actions == pytest.approx(expected, abs=1e-6)
 
 
 def test_scaled_tasks_keep_their_units(tmp_path: Path) -> None:
