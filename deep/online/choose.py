@@ -79,9 +79,10 @@ def _violations(baseline: Path, step: int) -> float:
     if not path.is_file():
         raise ValueError(f"{baseline}: there is no run here (no progress.csv)")
     with path.open(newline="") as file:
-        counts = [
-            int(row["violations"]) for row in csv.DictReader(file) if row["step"] == str(step)
-        ]
+        rows = csv.DictReader(file)
+        if not {"step", "violations"} <= set(rows.fieldnames or ()):
+            raise ValueError(f"{path}: no violations are counted there, as in a run of train")
+        counts = [int(row["violations"]) for row in rows if row["step"] == str(step)]
     if not counts:
         raise ValueError(f"{path}: there is no row for step {step}")
     return sum(counts) / len(counts)

@@ -85,6 +85,9 @@ def test_runs_that_cannot_be_compared_are_refused(tmp_path: Path) -> None:
     (select / "result.json").write_text(json.dumps(content))
     with pytest.raises(ValueError, match="there is no row for step 250"):
         choose_threshold(select, baseline, 0.1)
+    (baseline / "progress.csv").write_text("update,seed,critic_loss\n200,0,2.0\n")
+    with pytest.raises(ValueError, match="progress.csv: no violations are counted there"):
+        choose_threshold(select, baseline, 0.1)
     for text in ("{}", "no", '{"threshold": null}'):
         (tmp_path / "x.json").write_text(text)
         with pytest.raises(ValueError, match="x.json: there is no threshold in it"):
