@@ -274,7 +274,7 @@ def config(tmp_path: Path) -> OfflineConfig:
     data = Transitions(
         observations=observations,
         actions=rng.uniform(-1, 1, (n, task.action_dim)),
-        next_observations=np.roll(observations, -1, axis=0),
+        next_observations=0.5 + np.roll(observations, -1, axis=0),
         rewards=rng.normal(size=n),
         costs=cost,
         terminals=cost,
