@@ -17,9 +17,11 @@ things differ from the published code: the multiplier is projected instead of a 
 looks at the policy's actions of the moment, not at the recorded ones; and Q_c' in the targets is
 clipped to [0, 1]. A policy that seeks small Q_c finds where the network errs downwards, and
 unclipped the error feeds itself: on PointGoal1 Q_c fell below 0, the multiplier with it to 0,
-and nothing got safer. Kept as published is
-that W* is a single sample: where the next state is random, sqrt(W) tends to E sqrt(W*), which
-is at most the standard deviation (Jensen's inequality).
+and 71% to 92% of the episodes of the final policies ended in a violation.
+
+Kept as published is that W* is a single sample, at least 1e-8: where the next state is random,
+sqrt(W) tends to E sqrt(W*) instead of the standard deviation. A violation now with probability
+p, and none otherwise, has p sqrt(1 - p^2) instead of sqrt(p (1 - p)): less if p < 0.618.
 """
 
 from __future__ import annotations
