@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,10 +14,11 @@ import torch
 import deep.online.train
 from deep.online.config import TrainConfig
 from deep.online.episodes import run_episodes
+from deep.online.learner import NormalisationOf
 from deep.online.noise import ActionNoise
 from deep.online.sac import Sac
 from deep.online.train import train
-from deep.online.wcsac import WcsacSettings
+from deep.online.wcsac import Wcsac, WcsacSettings
 from deep.pretrain import RrlMsdpSettings, RrlSettings
 from deep.safety_filter import Normalisation, SafetyFilter
 from deep.task_policy import TrainedPolicy
@@ -338,6 +340,26 @@ def test_other_learners_and_corrections_run_too(tmp_path: Path, rrl: Path) -> No
     config = replace(TINY, seeds=(0,), safety=msdp, threshold=(0.4,))
     assert train(config, tmp_path / "msdp-run", quiet=True).method == "rrl-msdp"
     assert (tmp_path / "msdp-run" / path).read_bytes() != (msdp / path).read_bytes()
+
+
+def test_a_learner_is_told_once_how_observations_are_normalised(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[list[Sequence[Normalisation]]] = []
+    look = Wcsac.look
+
+    def watched(self: Wcsac, normalisation: NormalisationOf) -> None:
+        told.append([normalisation(power) for power in (1.0, 24.0)])
+        look(self, normalisation)
+
+    monkeypatch.setattr(Wcsac, "look", watched)
+    settings = WcsacSettings(hidden=(8,), batch_size=16, sharpness=24)
+    train(replace(TINY, method=settings), tmp_path, quiet=True)
+    ((plain, sharp),) = told
+    for k, seed in enumerate(SEEDS):
+        policy = TrainedPolicy.load(tmp_path / "policies" / f"seed{seed}.safetensors")
+        assert policy.normalisation == plain[k]
+        assert len(sharp[k].observation_power) == 2
 
 
 def test_a_finished_run_is_only_read_and_forgets_its_replay(tmp_path: Path) -> None:
