@@ -232,6 +232,16 @@ def test_every_number_of_a_study_reaches_its_commands() -> None:
     assert found == expected
 
 
+def test_a_job_is_finished_when_its_last_file_is_there() -> None:
+    for job in study_jobs(OTHER):
+        command = parse(job.command)
+        if isinstance(command, Pretrain):
+            last = "filters/seed50.safetensors"  # filters are written in the seeds' order
+            assert job.result == command.out / last
+        elif isinstance(command, Train | TrainOffline | Evaluate):
+            assert job.result == command.out / "result.json"
+
+
 def test_wcsac_tries_a_limit_a_seed_and_sees_lidars_as_the_others_critics_do() -> None:
     for part, limits in (("select", CONFIG.limits), ("train", WcsacSettings().cost_limit)):
         command = parse(JOBS[f"static-env/{part}/wcsac"].command)
