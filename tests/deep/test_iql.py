@@ -207,7 +207,13 @@ def test_advantages_are_capped_and_point_towards_reward() -> None:
 
 def test_minibatches_carry_their_rewards() -> None:
     data = chain_of_choices()
-    batch = task_batch(batches_of(data, (0, 4)), 70)
+    batches = batches_of(data, (0, 4))
+    batch, plain = task_batch(batches, 70), batches.get(70)
+    for name in ("observation", "action", "next_observation", "cost", "terminal"):
+        assert getattr(batch, name).equal(getattr(plain, name)), name
+    assert batch.noise.equal(plain.noise)
+    assert batch.next_noise.equal(plain.next_noise)
+    assert not batch.noise.equal(batch.next_noise)
     known = {(tuple(s), float(a[0])): r for s, a, r in zip(
         data.observations.tolist(), data.actions, data.rewards, strict=True)}  # fmt: skip
     for s, a, r in zip(

@@ -18,6 +18,7 @@ from deep.__main__ import main
 from deep.data import keep_before_violation
 from deep.formats import read_hdf5
 from deep.online.episodes import run_episodes
+from deep.online.fleet import FOREIGN_COPIES
 from deep.online.offline_data import offline_data, replayed
 from deep.online.plug import evaluate_policies
 from deep.online.train import train
@@ -213,6 +214,15 @@ def test_a_policy_alone_and_behind_filters(run: Path, tmp_path: Path) -> None:
     free = evaluate_policies(run, blocking, tmp_path / "free", threshold=0.6, episodes=6)
     assert [entry["arr"] for entry in free] == [0.0, 0.0]
     assert [entry["acr"] for entry in free] == [entry["acr"] for entry in alone]
+
+
+def test_a_policy_is_evaluated_where_it_was_not_trained(run: Path, tmp_path: Path) -> None:
+    elsewhere = "gym:MountainCarContinuous-v0"  # of the same dimensions as the brake
+    found = evaluate_policies(run, None, tmp_path / "out", episodes=2, task=elsewhere)
+    policy = TrainedPolicy.load(run / "policies" / "seed3.safetensors")
+    expected = run_episodes(elsewhere, policy.act, None, 2, 3, FOREIGN_COPIES)
+    assert (found[1]["acr"], found[1]["length"]) == (expected.acr, expected.length)
+    assert json.loads((tmp_path / "out" / "result.json").read_text())["task"] == elsewhere
 
 
 def test_thresholds_come_from_files_too(run: Path, tmp_path: Path) -> None:
