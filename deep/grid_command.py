@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from dataclasses import asdict, dataclass
 from typing import Annotated
 
 import tyro
 
+from dead_ends.io.atomic import atomic_path
+from deep.folder import read_object
 from deep.grid import JobsFailedError, failure_table, run_jobs
 from deep.job_backends import BackendName
 from deep.study import StudyConfig, study_jobs
 
-__all__ = ["Grid"]
+__all__ = ["Grid", "remember"]
+
+WHICH_RUNS = ("out", "tasks", "methods", "real_tasks")
+"""More of them may be asked for later; what else is set belongs to every run."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +40,10 @@ class Grid:
         """Run, and say how many jobs there were.
 
         Raises:
+            ValueError: if the folder holds a study with other settings.
             JobsFailedError: with the table of those that failed.
         """
+        remember(self.config)
         result = run_jobs(
             study_jobs(self.config),
             logs=self.config.out / "logs",
@@ -50,3 +58,25 @@ class Grid:
         )
         if result.failed:
             raise JobsFailedError(failure_table(result))
+
+
+def remember(config: StudyConfig) -> None:
+    """Write the study's settings into its folder, or find the same ones there.
+
+    Finished runs are skipped: with other settings they would pass for what was asked for.
+
+    Raises:
+        ValueError: naming a setting that differs.
+    """
+    path = config.out / "study.json"
+    chosen = {name: value for name, value in asdict(config).items() if name not in WHICH_RUNS}
+    plain = json.loads(json.dumps(chosen))
+    if not path.exists():
+        config.out.mkdir(parents=True, exist_ok=True)
+        with atomic_path(path) as temporary:
+            temporary.write_text(json.dumps(plain, indent=2) + "\n")
+        return
+    found = read_object(path, *plain)
+    for name, value in plain.items():
+        if found[name] != value:
+            raise ValueError(f"{config.out} holds a study with {name} {found[name]}, not {value}")

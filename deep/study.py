@@ -114,6 +114,9 @@ class StudyConfig:
         unknown = [method for method in self.methods if method not in METHODS]
         if unknown:
             raise ValueError(f"there is no method {unknown[0]!r}; there are {', '.join(METHODS)}")
+        for name in ("seeds", "selection_seeds"):
+            if len(set(getattr(self, name))) != len(getattr(self, name)):
+                raise ValueError(f"{name}: no seed twice, not {list(getattr(self, name))}")
         if set(self.seeds) & set(self.selection_seeds):
             raise ValueError("thresholds must be chosen on other seeds than the results'")
         log_every = TrainConfig.log_every

@@ -46,3 +46,23 @@ def test_options_reach_the_study_and_the_jobs(
     assert capsys.readouterr().err.startswith("deep: there is no method 'ppo'; there are sac, ")
     assert main([*study, "--address", "auto"]) == 2
     assert "it needs the backend ray" in capsys.readouterr().err
+
+
+def test_a_folder_holds_one_study(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("deep.grid_command.study_jobs", lambda _: ())
+    out = tmp_path / "out"
+    study = ["grid", "--out", str(out), "--tasks", "brake", "--seeds", "0", "1"]
+    assert main(study) == 0
+    before = (out / "study.json").read_bytes()
+    assert main([*study, "--methods", "sac"]) == 0  # fewer or more runs of the same settings
+    assert main(["grid", "--out", str(out), "--seeds", "0", "1"]) == 0
+    capsys.readouterr()
+    assert main([*study, "--steps", "400000"]) == 2
+    assert capsys.readouterr().err == (
+        f"deep: {out} holds a study with steps 1000000, not 400000\n"
+    )
+    assert main(["grid", "--out", str(out), "--tasks", "brake", "--seeds", "0"]) == 2
+    assert capsys.readouterr().err.endswith("holds a study with seeds [0, 1], not [0]\n")
+    assert (out / "study.json").read_bytes() == before

@@ -274,6 +274,8 @@ def test_fewer_methods_make_fewer_jobs() -> None:
 def test_configurations_that_make_no_sense_are_refused() -> None:
     with pytest.raises(ValueError, match="there is no method 'ppo'; there are sac, dea-rrl"):
         StudyConfig(out=Path("s"), methods=("ppo",))
+    with pytest.raises(ValueError, match=r"^seeds: no seed twice, not \[0, 0\]$"):
+        StudyConfig(out=Path("s"), seeds=(0, 0))
     with pytest.raises(ValueError, match="thresholds must be chosen on other seeds"):
         StudyConfig(out=Path("s"), selection_seeds=(3, 101, 102, 103))
     with pytest.raises(ValueError, match="real_tasks: 'car-goal1' is not one of the study's"):
