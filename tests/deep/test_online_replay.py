@@ -115,6 +115,7 @@ def test_a_batch_is_a_function_of_seed_and_update(tmp_path: Path) -> None:
         assert not first.observation.equal(other.observation)
         assert not first.noise.equal(other.noise)
     assert not first.noise.equal(first.next_noise)
+    assert first.noise.shape == first.next_noise.shape == first.action.shape
     noise = np.concatenate([replay.sample(u, 12, 8).noise.numpy() for u in range(200)])
     assert [noise.mean(), noise.std()] == pytest.approx([0, 1], abs=0.06)
 
