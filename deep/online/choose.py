@@ -48,8 +48,11 @@ def choose_threshold(run: Path, baseline: Path, share: float) -> Choice:
         share: of the baseline's violations in as many steps.
 
     Raises:
-        ValueError: if a run is missing or unfinished, or has no thresholds.
+        ValueError: if a run is missing or unfinished, or has no thresholds, or for a share
+            that is none.
     """
+    if not 0 <= share <= 1:
+        raise ValueError(f"share must lie in [0, 1], not {share}")
     result = run / "result.json"
     if not result.is_file():
         raise ValueError(f"{run}: not a finished run (no result.json)")

@@ -67,6 +67,9 @@ def test_a_choice_is_read_as_it_was_written(tmp_path: Path) -> None:
 
 def test_runs_that_cannot_be_compared_are_refused(tmp_path: Path) -> None:
     select, baseline = runs(tmp_path, [0.1, None], [2, 5])
+    for share in (-0.1, 5.0):
+        with pytest.raises(ValueError, match=rf"^share must lie in \[0, 1\], not {share}$"):
+            choose_threshold(select, baseline, share)
     with pytest.raises(ValueError, match="select: without correction or cost limit there is n"):
         choose_threshold(select, baseline, 0.1)
     with pytest.raises(ValueError, match=r"baseline: not a finished run \(no result.json\)"):
