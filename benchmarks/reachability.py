@@ -49,13 +49,13 @@ class Controlled(hj.ControlAndDisturbanceAffineDynamics):
         nothing = hj.sets.Box(jnp.zeros(1), jnp.zeros(1))
         super().__init__("max", "min", control, nothing)
 
-    def open_loop_dynamics(self, state: Any, time: Any) -> Any:  # noqa: ARG002  (interface)
+    def open_loop_dynamics(self, state: Any, time: Any) -> Any:  # noqa: ARG002  (hj_reachability calls it so)
         return self.drift(state)
 
-    def control_jacobian(self, state: Any, time: Any) -> Any:  # noqa: ARG002  (interface)
+    def control_jacobian(self, state: Any, time: Any) -> Any:  # noqa: ARG002  (hj_reachability calls it so)
         return self.inputs
 
-    def disturbance_jacobian(self, state: Any, time: Any) -> Any:  # noqa: ARG002  (interface)
+    def disturbance_jacobian(self, state: Any, time: Any) -> Any:  # noqa: ARG002  (hj_reachability calls it so)
         return jnp.zeros_like(self.inputs)
 
 

@@ -4,12 +4,12 @@
 
 puts the study's SAC policies behind the pretrained filters that they have never met, at the
 thresholds that the study chose and at larger ones, and looks at the steps that are corrected: how
-fast the robot is there, how often correction and policy take turns (a corrected step before and
-after an uncorrected one), and what the recovery policy does.
+fast the robot is there, how often correction and policy take turns (corrected steps between two
+that are not), and what the recovery policy does.
 
 A policy that thrusts at a hazard is stopped; the recovery policy backs off a little; now the
-thrust is safe again for a step. If the recovery policy backs off straight, this goes on for ever,
-whatever the threshold; if it turns as well, the policy soon finds another way.
+thrust is safe again for a step. Where the recovery policy backs off straight the robot hardly
+moves any more, whatever the threshold; where it turns, the robot gets away.
 """
 
 from __future__ import annotations

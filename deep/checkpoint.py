@@ -59,7 +59,7 @@ def load_checkpoint(learner: Trained, path: str | os.PathLike[str]) -> tuple[int
         with safe_open(Path(path), framework="pt") as file:
             metadata = file.metadata() or {}
             update, rest = int(metadata["update"]), metadata["rest"]
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (no mapping)
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (it cannot be iterated)
         networks = {
             name.removeprefix("network."): tensor
             for name, tensor in tensors.items()

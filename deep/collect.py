@@ -56,7 +56,7 @@ def corner_policy(task: Task) -> Policy:
 def towards_obstacle_policy(task: Task) -> Policy:
     """The task's adversary: it heads for the nearest obstacle."""
 
-    def act(_: Observations, state: Floats, rng: np.random.Generator) -> Actions:  # noqa: ARG001  (a Policy)
+    def act(_: Observations, state: Floats, rng: np.random.Generator) -> Actions:  # noqa: ARG001  (every Policy's arguments)
         return task.towards_obstacle(state)
 
     return act
@@ -65,7 +65,7 @@ def towards_obstacle_policy(task: Task) -> Policy:
 def sb3_policy(model: _Predictor, deterministic: bool = False) -> Policy:
     """A Stable-Baselines3 model (anything with its ``predict``) as a policy."""
 
-    def act(observation: Observations, _: Floats, rng: np.random.Generator) -> Actions:  # noqa: ARG001  (a Policy)
+    def act(observation: Observations, _: Floats, rng: np.random.Generator) -> Actions:  # noqa: ARG001  (every Policy's arguments)
         actions: Actions = model.predict(observation, deterministic=deterministic)[0]
         return actions
 

@@ -53,7 +53,7 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
         ValueError: if the model has no initial states, or no geometry to draw.
     """
 
-    metadata = {"render_modes": ["rgb_array", "ansi"], "render_fps": 8}  # noqa: RUF012  # as Gymnasium has it
+    metadata = {"render_modes": ["rgb_array", "ansi"], "render_fps": 8}  # noqa: RUF012  (Gymnasium's own declaration)
 
     def __init__(
         self,

@@ -155,7 +155,7 @@ class Tokens:
 
 
 @njit(cache=True)
-def _count(data):  # type: ignore[no-untyped-def]  # numba infers
+def _count(data):  # type: ignore[no-untyped-def]  # numba infers types
     """The numbers of tokens and of lines; a last line need not be ended."""
     tokens, lines, inside, ended = 0, 0, False, True
     for byte in data:
@@ -170,7 +170,7 @@ def _count(data):  # type: ignore[no-untyped-def]  # numba infers
 
 
 @njit(cache=True)
-def _find(data, start, stop, first):  # type: ignore[no-untyped-def]  # numba infers
+def _find(data, start, stop, first):  # type: ignore[no-untyped-def]  # numba infers types
     token, line, inside = 0, 0, False
     first[0] = 0
     for place in range(len(data)):
@@ -190,7 +190,7 @@ def _find(data, start, stop, first):  # type: ignore[no-untyped-def]  # numba in
 
 
 @njit(cache=True)
-def _integers(data, start, stop):  # type: ignore[no-untyped-def]  # numba infers
+def _integers(data, start, stop):  # type: ignore[no-untyped-def]  # numba infers types
     """-1 where a token is not a natural number below 2**31."""
     values = np.empty(len(start), dtype=np.int64)
     for token in range(len(start)):
@@ -204,7 +204,7 @@ def _integers(data, start, stop):  # type: ignore[no-untyped-def]  # numba infer
 
 
 @njit(cache=True)
-def _numbers(data, start, stop, tens):  # type: ignore[no-untyped-def]  # numba infers
+def _numbers(data, start, stop, tens):  # type: ignore[no-untyped-def]  # numba infers types
     """Plain decimals with at most 15 digits; the others are marked as hard."""
     values = np.zeros(len(start), dtype=np.float64)
     hard = np.zeros(len(start), dtype=np.bool_)
@@ -227,7 +227,7 @@ def _numbers(data, start, stop, tens):  # type: ignore[no-untyped-def]  # numba 
 
 
 @njit(cache=True)
-def _hashes(data, start, stop):  # type: ignore[no-untyped-def]  # numba infers
+def _hashes(data, start, stop):  # type: ignore[no-untyped-def]  # numba infers types
     """FNV-1a, 64 bit."""
     values = np.empty(len(start), dtype=np.uint64)
     for token in range(len(start)):

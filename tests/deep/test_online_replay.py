@@ -175,6 +175,7 @@ def test_a_cut_ends_episodes_by_the_clock_and_no_violation(steps: int, tmp_path:
     """Steps 0 to 4, 5 to 9 and 10 to 14 are episodes; the tenth ends one anyway."""
     replay = filled(tmp_path, steps)
     replay.cut(steps)
+    assert not (replay._rows[..., -1] * replay._rows[..., -2]).any()  # timeout and terminal
     replay.add(steps, arrival(steps))
     for k, seed in enumerate(SEEDS):
         data = replay.transitions(seed, steps + 1)

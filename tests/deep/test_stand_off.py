@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import cast
 
 import numpy as np
@@ -14,18 +15,16 @@ from deep.tasks import PointGoal1
 from deep.tasks.task import Floats
 
 
-class EveryNth:
-    """Full thrust every n-th step, else full reverse."""
+class Repeating:
+    """Full thrust or full reverse, over and over in this order."""
 
-    def __init__(self, n: int) -> None:
-        self.n = n
-        self.step = 0
+    def __init__(self, thrusts: list[int]) -> None:
+        self.thrusts = itertools.cycle(thrusts)
 
     def act(self, observation: Floats) -> Floats:
         """The same for every copy."""
-        thrust = 1.0 if self.step % self.n == 0 else -1.0
-        self.step += 1
-        return np.tile(np.array([thrust, 0.3], dtype=np.float32), (len(observation), 1))
+        action = np.array([next(self.thrusts), 0.3], dtype=np.float32)
+        return np.tile(action, (len(observation), 1))
 
 
 def thrust_is_danger() -> SafetyFilter:
@@ -46,10 +45,15 @@ def thrust_is_danger() -> SafetyFilter:
     )
 
 
-@pytest.mark.parametrize(("n", "arr", "alone"), [(1, 1.0, 0.0), (2, 0.5, 1.0), (3, 1 / 3, 1.0)])
-def test_taking_turns_is_told_from_correction_without_end(n: int, arr: float, alone: float) -> None:
-    found = watched(cast(TrainedPolicy, EveryNth(n)), thrust_is_danger())
-    assert STEPS % n == 0
+@pytest.mark.parametrize(
+    ("thrusts", "alone"), [([1], 0.0), ([1, -1], 1.0), ([1, -1, -1], 1.0), ([1, 1, -1], 0.0)]
+)
+def test_taking_turns_is_told_from_correction_that_goes_on(
+    thrusts: list[int], alone: float
+) -> None:
+    found = watched(cast(TrainedPolicy, Repeating(thrusts)), thrust_is_danger())
+    arr = thrusts.count(1) / len(thrusts)
+    assert STEPS % len(thrusts) == 0
     assert COPIES > 1
     assert found["arr"] == pytest.approx(arr)
     assert found["alone"] == alone
