@@ -7,10 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from deep.__main__ import Pretrain, parse
+from deep.__main__ import parse
+from deep.cli.choose_threshold import ChooseThreshold
+from deep.cli.evaluate import Evaluate
+from deep.cli.offline_data import OfflineData
+from deep.cli.pretrain import Pretrain
+from deep.cli.train import Train
+from deep.cli.train_offline import TrainOffline
 from deep.config import MethodChoice, PretrainConfig
 from deep.grid import Job
-from deep.online.commands import ChooseThreshold, Evaluate, OfflineData, Train, TrainOffline
 from deep.online.config import TrainConfig
 from deep.online.offline import OfflineConfig
 from deep.online.wcsac import WcsacSettings

@@ -1,4 +1,4 @@
-"""The command ``python -m deep grid``: a study's jobs, run on this machine or on a cluster."""
+"""``python -m deep grid``: a study's jobs, run on this machine or on a cluster."""
 
 from __future__ import annotations
 

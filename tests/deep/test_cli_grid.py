@@ -22,7 +22,7 @@ def test_a_study_ends_with_0_or_with_1_and_a_table(
     monkeypatch.chdir(Path(__file__).parents[2])
     command = ["grid", "--out", str(out), "--workers", "2", "--tasks", "brake", "--methods", "sac"]
 
-    monkeypatch.setattr("deep.grid_command.study_jobs", lambda _: (good, bad, more))
+    monkeypatch.setattr("deep.cli.grid.study_jobs", lambda _: (good, bad, more))
     assert main(command) == 1
     said = capsys.readouterr()
     assert said.out == (
@@ -33,7 +33,7 @@ def test_a_study_ends_with_0_or_with_1_and_a_table(
     assert table[0].endswith(f"({out}/logs/t/bad.log)")
     assert table[1] == "t/more  blocked  a job that it needs failed"
 
-    monkeypatch.setattr("deep.grid_command.study_jobs", lambda _: (good,))
+    monkeypatch.setattr("deep.cli.grid.study_jobs", lambda _: (good,))
     assert main(command) == 0
     assert "0 jobs finished, 1 were finished before, 0 failed" in capsys.readouterr().out
 
@@ -51,7 +51,7 @@ def test_options_reach_the_study_and_the_jobs(
 def test_a_folder_holds_one_study(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("deep.grid_command.study_jobs", lambda _: ())
+    monkeypatch.setattr("deep.cli.grid.study_jobs", lambda _: ())
     out = tmp_path / "out"
     study = ["grid", "--out", str(out), "--tasks", "brake", "--seeds", "0", "1"]
     assert main(study) == 0

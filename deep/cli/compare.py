@@ -1,0 +1,25 @@
+"""``python -m deep compare``: every method against the exact answer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from deep.compare import CompareConfig, compare, summary_table
+
+
+@dataclass(frozen=True)
+class Compare:
+    """Score every method against the exact answer of a task.
+
+    Attributes:
+        config: the comparison.
+    """
+
+    config: Annotated[CompareConfig, tyro.conf.arg(name="")]
+
+    def run(self) -> None:
+        """Train, score, and print the table."""
+        print(summary_table(compare(self.config)))

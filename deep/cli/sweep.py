@@ -1,0 +1,26 @@
+"""``python -m deep sweep``: what the choices do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from deep.sweep import SweepConfig, sweep
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What gamma_safe, epsilon, the expectile and the data mix do.
+
+    Attributes:
+        config: the sweep.
+    """
+
+    config: Annotated[SweepConfig, tyro.conf.arg(name="")]
+
+    def run(self) -> None:
+        """Train, score, draw."""
+        sweep(self.config)
+        print(self.config.out / "sweep.png")
