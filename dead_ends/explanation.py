@@ -14,7 +14,7 @@ number of steps has no longest path: its shortest path to failure is shown.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +95,14 @@ def explain(model: SafeMDP, state: int | str, labelling: Labelling | None = None
     index = state_index(model, state)
     if labelling is None:
         labelling = classify(model)
+    explanation = _explain(model, index, labelling)
+    if not model.estimate:
+        return explanation
+    caution = "This is said of an estimate from a log; of the task it may not be true."
+    return replace(explanation, text=f"{explanation.text} {caution}")
+
+
+def _explain(model: SafeMDP, index: int, labelling: Labelling) -> Explanation:
     label = Label(int(labelling.labels[index]))
     name = model.state_name(index)
     if label is Label.FAIL:

@@ -37,6 +37,7 @@ from dead_ends.io.explicit import (
     Integers,
     Mask,
     check_distributions,
+    check_no_estimate,
     explicit_model,
     model_labels,
     model_rows,
@@ -70,9 +71,11 @@ def save_drn(path: str | os.PathLike[str], model: SafeMDP) -> None:
     comments. Rewards, geometry and the weights of the initial states are not part of it.
 
     Raises:
-        ValueError: if a name cannot be written, or the folder does not exist.
+        ValueError: if a name cannot be written, the model is an estimate (the format cannot
+            say so), or the folder does not exist.
         OSError: if the file cannot be written; then nothing is left behind.
     """
+    check_no_estimate(path, model)
     for name in model.action_names or ():
         if not name or name.split() != [name]:
             raise ValueError(f"{path}: the action's name '{name}' cannot be written")

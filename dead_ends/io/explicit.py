@@ -13,6 +13,7 @@ The formats hold no rewards, and of the initial distribution only its states.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -32,6 +33,7 @@ __all__ = [
     "Failure",
     "Rows",
     "check_distributions",
+    "check_no_estimate",
     "count_distinct",
     "explicit_model",
     "model_labels",
@@ -223,6 +225,18 @@ def model_rows(model: SafeMDP) -> Rows:
         probability=probability.tolist(),
         num_choices=int(np.count_nonzero(taken)),
     )
+
+
+def check_no_estimate(path: str | os.PathLike[str], model: SafeMDP) -> None:
+    """The formats cannot say that a model is an estimate, and it would be taken for the task.
+
+    Raises:
+        ValueError: naming the file, if the model is an estimate.
+    """
+    if model.estimate:
+        raise ValueError(
+            f"{path}: the format cannot say that the model is an estimate from a log; write .npz"
+        )
 
 
 def model_labels(model: SafeMDP) -> dict[str, Mask]:

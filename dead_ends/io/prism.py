@@ -25,6 +25,7 @@ from dead_ends.io.explicit import (
     Integers,
     Mask,
     check_distributions,
+    check_no_estimate,
     count_distinct,
     explicit_model,
     model_labels,
@@ -71,9 +72,11 @@ def save_prism(path: str | os.PathLike[str], model: SafeMDP) -> None:
     whole or not at all, the .tra file last.
 
     Raises:
-        ValueError: if a name cannot be written, or the folder does not exist.
+        ValueError: if a name cannot be written, the model is an estimate (the format cannot
+            say so), or the folder does not exist.
         OSError: if a file cannot be written.
     """
+    check_no_estimate(path, model)
     _check_names(path, model)
     target = Path(path)
     with atomic_path(target) as temporary:
