@@ -332,3 +332,18 @@ def test_errors_of_the_guarantee() -> None:
         guarantee.steps(2)
     with pytest.raises(ValueError, match="steps must not be negative, not -1"):
         guarantee.probability(-1)
+
+
+def test_no_risk_is_bounded_by_numbers_that_underflow() -> None:
+    """An action that surely enters a state with T = 1200: gamma**1200 is no float."""
+    n = 1200
+    after = np.minimum(np.arange(n + 2) + 1, n + 1)
+    table = np.stack([after, after], axis=1)
+    table[0, 0] = 0
+    model = SafeMDP.deterministic(table, np.arange(n + 2) == n + 1)
+    survival = expected_survival(model)
+    for gamma in (0.5, Fraction(1, 2)):
+        assert one_step_risk(value_iteration(model, gamma), survival)[0].tolist() == [0, 1]
+    # Here the power is a subnormal float, half of which may be rounding.
+    risk = one_step_risk(value_iteration(model, 0.5377), survival)
+    assert risk[0].tolist() == [0, 1]

@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
+from dead_ends.cli.output import add_exact_argument, add_output_argument, check_output
 from dead_ends.cli.source import (
     add_discount_argument,
     add_source_arguments,
@@ -18,24 +20,27 @@ if TYPE_CHECKING:
     from dead_ends.model import SafeMDP
     from dead_ends.results import Labelling
 
+ESTIMATE = "an estimate from a log: its labels are no guarantee about the task"
 SUMMARY = "label every state: fail, dead, safe or at risk"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_source_arguments(parser)
-    parser.add_argument(
-        "--out", metavar="PATH", help="write labels and survival times (.npz, .csv or .json)"
+    add_output_argument(
+        parser, "write labels and survival times (.npz, .csv or .json)", required=False
     )
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
     add_discount_argument(parser)
+    add_exact_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     from dead_ends.labels import classify
 
+    check_output(arguments.out, arguments.file)
     model = read_source(arguments)
     labelling = classify(model)
-    summary = summarize(model, labelling, arguments.gamma_safe)
+    summary = summarize(model, labelling, arguments.gamma_safe, arguments.exact)
     if arguments.out:
         from dead_ends.io.labelling import save_labelling
 
@@ -50,15 +55,17 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def summarize(model: SafeMDP, labelling: Labelling, gamma_safe: Any) -> dict[str, Any]:
+def summarize(
+    model: SafeMDP, labelling: Labelling, gamma_safe: Any, exact: bool | None
+) -> dict[str, Any]:
     """The numbers of a labelled model, ready for JSON."""
     from dead_ends.results import Label
     from dead_ends.thresholds import threshold_interval
 
-    interval = threshold_interval(model, gamma_safe)
-    bounded = not interval.empty and not math.isinf(interval.upper)
+    interval = threshold_interval(model, gamma_safe, exact=exact)
     return {
         "kind": "deterministic" if model.is_deterministic else "stochastic",
+        "estimate": model.estimate,
         "states": model.num_states,
         "actions": model.num_actions,
         **{label.name.lower(): labelling.count(label) for label in sorted(Label)},
@@ -70,15 +77,25 @@ def summarize(model: SafeMDP, labelling: Labelling, gamma_safe: Any) -> dict[str
         "gamma_safe": float(gamma_safe),
         "threshold": {
             "empty": interval.empty,
-            "at_most": float(interval.upper) if bounded else None,
+            "at_most": _float_below(interval.upper),
             "exponent": interval.exponent,
             "recommended": interval.recommended,
+            "text": str(interval),
         },
     }
 
 
+def _float_below(upper: float | Fraction | None) -> float | None:
+    """The greatest positive float that is at most ``upper``; None if there is none, or no end."""
+    if not upper or math.isinf(upper):
+        return None
+    nearest = float(upper)
+    return (nearest if nearest <= upper else math.nextafter(nearest, 0.0)) or None
+
+
 def _rows(summary: dict[str, Any]) -> list[tuple[str, Any]]:
     rows = [
+        *([("model", ESTIMATE)] if summary["estimate"] else []),
         ("states", summary["states"]),
         ("fail", summary["fail"]),
         ("dead", summary["dead"]),
@@ -100,12 +117,5 @@ def _known(horizon: int | None) -> int | str:
 
 
 def _threshold(summary: dict[str, Any]) -> str:
-    threshold = summary["threshold"]
-    if threshold["empty"]:
-        return "none separates safe from unsafe actions"
-    if threshold["at_most"] is None:
-        return "any, for no action leaves the safe states"
-    power = "" if threshold["exponent"] is None else f"gamma_safe**{threshold['exponent']} = "
-    example = threshold["recommended"]
-    between = "" if example is None else f", for example {example:.12g}"
-    return f"0 < epsilon_safe <= {power}{threshold['at_most']!r}{between}"
+    text, example = summary["threshold"]["text"], summary["threshold"]["recommended"]
+    return text if example is None else f"{text}, for example {example:.12g}"

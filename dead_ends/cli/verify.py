@@ -64,14 +64,14 @@ def _read_policy(path: str) -> Any:
 
 
 def _rows(found: Verification, policy: str | None) -> list[tuple[str, Any]]:
+    from dead_ends.discount import scientific
+
     labelling, interval = found.labelling, found.interval
-    upper = float(interval.upper)
-    thresholds = "none" if interval.empty else f"(0, {upper:.6g}{']' if upper < 2 else ')'}"
     return [
         ("H", "none" if labelling.horizon is None else labelling.horizon),
         ("H_b", "none" if labelling.boundary_horizon is None else labelling.boundary_horizon),
         ("gamma_safe", str(found.gamma_safe)),
-        ("exact thresholds", thresholds),
-        ("epsilon_safe", f"{float(found.epsilon_safe):.6g}"),
+        ("exact thresholds", str(interval)),
+        ("epsilon_safe", scientific(found.epsilon_safe)),
         ("task policy", policy or "the first available action in every state"),
     ]
