@@ -20,6 +20,7 @@ from dead_ends.labels import classify
 from dead_ends.model import SafeMDP
 from dead_ends.policies import allowed_actions, greedy_actions, recovery_policy
 from dead_ends.policy_input import as_distribution, check_policy
+from dead_ends.precision import UndecidedError
 from dead_ends.results import INFINITE, Labelling, Values
 from dead_ends.statements import predicates
 from dead_ends.statements.predicates import Mask
@@ -152,8 +153,8 @@ def _threshold(interval: ThresholdInterval) -> float | Fraction:
     if interval.empty:
         return 0.5
     if interval.upper is None:
-        raise ValueError(
-            f"the thresholds are {interval}: give gamma_safe as a fraction (--gamma-safe 99/100)"
+        raise UndecidedError(
+            f"the thresholds are {interval}", {"exact": "give gamma_safe as a Fraction"}
         )
     return interval.recommended or interval.upper
 
@@ -313,7 +314,7 @@ def _boundary(subject: _Subject) -> Mask:
 def _hope(subject: _Subject) -> Statement:
     """Whether the recovery policy makes failure certain where it need not be."""
     recovery: NDArray[np.int64] = recovery_policy(subject.best)
-    risk = evaluate_policy(subject.model, recovery, 1.0)
+    risk = evaluate_policy(subject.model, recovery, 1.0, exact=subject.best.exact)
     return subject.judged(
         "Recovery objective",
         "the recovery policy greedy on Q* makes failure certain only on S_dead",

@@ -52,6 +52,13 @@ def test_a_slow_chain_has_an_answer(capsys: pytest.CaptureFixture[str]) -> None:
     # k steps before the goal it fails with probability (1 - 2**-k) / 2.
     assert np.flatnonzero(table.allowed[:, 0]).tolist() == [38, 39, 40]
     assert table.metadata["exact"] is True
+    capsys.readouterr()
+    save_model("longer.npz", slow_chain(30))
+    assert main(["explain", "longer.npz", "30"]) == 2
+    assert capsys.readouterr().err.endswith("]: use --exact\n")
+    assert main(["explain", "longer.npz", "30", "--exact"]) == 0
+    assert "fails with probability 0.5, " in capsys.readouterr().out
+    assert main(["verify", "longer.npz"]) == 0
 
 
 @pytest.mark.parametrize("exact", [[], ["--exact"]])
@@ -66,8 +73,8 @@ def test_no_false_equality_is_printed(capsys: pytest.CaptureFixture[str], exact:
     assert (threshold["at_most"], threshold["recommended"]) == (None, None)
     assert threshold["exponent"] == 1200
     assert main(["verify", "long.npz", "--gamma-safe", "0.5"]) == 2
-    assert "give gamma_safe as a fraction" in capsys.readouterr().err
-    assert main(["verify", "long.npz", "--gamma-safe", "1/2"]) == 0
+    assert capsys.readouterr().err.endswith("which is smaller than every float: use --exact\n")
+    assert main(["verify", "long.npz", "--gamma-safe", "0.5", "--exact"]) == 0
     out = capsys.readouterr().out
     assert "holds  Theorem 2" in out
     assert "gamma_safe^(H-1) is about 1.16154e-361" in out
