@@ -129,8 +129,7 @@ def power_at_most(gamma: float, n: int) -> float | None:
     exact = Fraction(repr(gamma))
     with _digits(30):
         nearest = float(_decimal(exact) ** n)
-    above = math.nextafter(nearest, 1.0)
-    candidates = (above, nearest, math.nextafter(nearest, 0.0))
+    candidates = (nearest, math.nextafter(nearest, 0.0))
     return next((x for x in candidates if x and compare_power(Fraction(x), exact, n) <= 0), None)
 
 

@@ -110,7 +110,7 @@ def _reaches_goal(model: SafeMDP, choices: NDArray[np.bool_]) -> NDArray[np.bool
 
     kernel = model.transitions()
     rows = np.repeat(np.arange(kernel.shape[0]), np.diff(kernel.indptr))
-    taken = choices.ravel()[rows] & ~model.fail[kernel.indices]
+    taken = choices.ravel()[rows]
     source, target = rows[taken] // model.num_actions, kernel.indices[taken]
     goals = np.flatnonzero(model.terminal)
     size = model.num_states + 1  # one more node, from which every goal is reached
