@@ -15,6 +15,7 @@ from dead_ends.cli.source import (
     print_rows,
     read_source,
 )
+from dead_ends.precision import UndecidedError
 
 if TYPE_CHECKING:
     from dead_ends.model import SafeMDP
@@ -60,9 +61,7 @@ def summarize(
 ) -> dict[str, Any]:
     """The numbers of a labelled model, ready for JSON."""
     from dead_ends.results import Label
-    from dead_ends.thresholds import threshold_interval
 
-    interval = threshold_interval(model, gamma_safe, exact=exact)
     return {
         "kind": "deterministic" if model.is_deterministic else "stochastic",
         "estimate": model.estimate,
@@ -75,13 +74,25 @@ def summarize(
         "reachable_horizon": labelling.reachable_horizon,
         "reachable_boundary_horizon": labelling.reachable_boundary_horizon,
         "gamma_safe": float(gamma_safe),
-        "threshold": {
-            "empty": interval.empty,
-            "at_most": _float_below(interval.upper),
-            "exponent": interval.exponent,
-            "recommended": interval.recommended,
-            "text": str(interval),
-        },
+        "threshold": _threshold(model, gamma_safe, exact),
+    }
+
+
+def _threshold(model: SafeMDP, gamma_safe: Any, exact: bool | None) -> dict[str, Any]:
+    """The thresholds; labels are certain even where floats do not tell these."""
+    from dead_ends.thresholds import threshold_interval
+
+    try:
+        interval = threshold_interval(model, gamma_safe, exact=exact)
+    except UndecidedError as error:
+        known = dict.fromkeys(("empty", "at_most", "exponent", "recommended"))
+        return {**known, "text": f"not known: {error.with_options(('exact', 'gamma_safe'))}"}
+    return {
+        "empty": interval.empty,
+        "at_most": _float_below(interval.upper),
+        "exponent": interval.exponent,
+        "recommended": interval.recommended,
+        "text": str(interval),
     }
 
 
@@ -108,7 +119,9 @@ def _rows(summary: dict[str, Any]) -> list[tuple[str, Any]]:
     if summary["reachable_horizon"] is not None:
         rows.append(("H, reachable", summary["reachable_horizon"]))
         rows.append(("H_b, reachable", _known(summary["reachable_boundary_horizon"])))
-    rows.append((f"threshold at gamma_safe {summary['gamma_safe']:g}", _threshold(summary)))
+    rows.append(
+        (f"threshold at gamma_safe {summary['gamma_safe']:g}", _with_example(summary["threshold"]))
+    )
     return rows
 
 
@@ -116,6 +129,6 @@ def _known(horizon: int | None) -> int | str:
     return "none" if horizon is None else horizon
 
 
-def _threshold(summary: dict[str, Any]) -> str:
-    text, example = summary["threshold"]["text"], summary["threshold"]["recommended"]
+def _with_example(threshold: dict[str, Any]) -> str:
+    text, example = threshold["text"], threshold["recommended"]
     return text if example is None else f"{text}, for example {example:.12g}"

@@ -61,6 +61,26 @@ def test_a_slow_chain_has_an_answer(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["verify", "longer.npz"]) == 0
 
 
+def test_labels_are_told_even_if_the_threshold_is_not(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A slow chain that need not be entered: state 41 may stay, or go to its middle."""
+    kernel = np.zeros((42, 2, 42))
+    chain = slow_chain(20)
+    kernel[:41, :, :41] = chain.transitions().toarray()[:, None]
+    kernel[41, 0, 41] = kernel[41, 1, 20] = 1
+    ends = np.arange(42)
+    save_model("entered.npz", SafeMDP.stochastic(kernel, ends == 0, terminal=ends == 40))
+    label = ["label", "entered.npz", "--gamma-safe", "1"]
+    assert main([*label, "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert (summary["safe"], summary["at_risk"]) == (2, 39)
+    assert summary["threshold"]["text"].startswith("not known: after 10000 sweeps")
+    assert summary["threshold"]["text"].endswith("use --exact, or a --gamma-safe below 1")
+    assert main([*label, "--exact"]) == 0
+    assert "0 < epsilon_safe <= 1/2, for example 0.25\n" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("exact", [[], ["--exact"]])
 def test_no_false_equality_is_printed(capsys: pytest.CaptureFixture[str], exact: list[str]) -> None:
     save_model("long.npz", long_corridor(1200))
