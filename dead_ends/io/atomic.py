@@ -92,13 +92,17 @@ def _lock(folder: int) -> bool | None:
 
 
 def _remove_stale(target: Path) -> None:
-    """Remove what killed runs left of this file; never what a live process holds."""
+    """Remove what killed runs left of this file; never what a live process holds.
+
+    What cannot be opened is another user's, or another process has just removed it.
+    """
     name = re.compile(re.escape(f".{target.name}-") + RANDOM + re.escape(SUFFIX))
-    for entry in [entry for entry in os.scandir(target.parent) if name.fullmatch(entry.name)]:
-        with suppress(FileNotFoundError):  # removed by another process meanwhile
-            lock = os.open(entry.path, os.O_RDONLY)
-            try:
-                if _lock(lock):
-                    shutil.rmtree(entry.path, ignore_errors=True)
-            finally:
-                os.close(lock)
+    with suppress(OSError):
+        for left in [path for path in os.listdir(target.parent) if name.fullmatch(path)]:
+            with suppress(OSError):
+                lock = os.open(target.parent / left, os.O_RDONLY)
+                try:
+                    if _lock(lock):
+                        shutil.rmtree(target.parent / left, ignore_errors=True)
+                finally:
+                    os.close(lock)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import errno
+import os
 import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -109,6 +111,24 @@ def test_where_there_are_no_locks_nothing_is_taken_for_stale(
         temporary.write_text("whole")
     assert target.read_text() == "whole"
     assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_what_another_user_left_is_no_obstacle(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    theirs = tmp_path / ".labels.csv-abcd1234.writing"
+    theirs.mkdir()
+
+    def forbidden(path: Any, *flags: Any, **where: Any) -> int:
+        if path == theirs:
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return really_open(path, *flags, **where)
+
+    really_open = os.open
+    monkeypatch.setattr("dead_ends.io.atomic.os.open", forbidden)
+    with atomic_path(tmp_path / "labels.csv") as temporary:
+        temporary.write_text("whole")
+    assert {path.name for path in tmp_path.iterdir()} == {"labels.csv", theirs.name}
 
 
 def test_folders_of_similar_names_are_not_ours(tmp_path: Path) -> None:
