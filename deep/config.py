@@ -28,6 +28,7 @@ from deep.pretrain import (
     RrlSettings,
     method_name,
 )
+from deep.safety_filter import Bounds
 from deep.tasks import Task
 from deep.thresholds import discount_from_horizon, low_threshold, paper_threshold
 
@@ -99,6 +100,9 @@ class PretrainConfig:
             them; a high one spreads the last centimetres before an obstacle.
         threshold: None: gamma_safe^H / 4 for dea-rrl-annealed, gamma_safe^(H + 1/2) for
             the others.
+        action_low: the environment's lower action bounds, one number a coordinate, for a
+            file whose actions do not show them; None: the least in the file.
+        action_high: the upper ones, likewise.
         device: cpu or cuda.
         log_every: updates between two rows of progress.csv.
         checkpoint_every: updates between two checkpoints.
@@ -114,6 +118,8 @@ class PretrainConfig:
     gamma_safe: float | None = None
     sharpness: float = 1.0
     threshold: float | None = None
+    action_low: tuple[float, ...] | None = None
+    action_high: tuple[float, ...] | None = None
     device: str = "cpu"
     log_every: int = 250
     checkpoint_every: int = 500
@@ -128,6 +134,18 @@ class PretrainConfig:
         for name in ("updates", "log_every", "checkpoint_every"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}")
+        if (self.action_low is None) != (self.action_high is None):
+            raise ValueError("give both action_low and action_high, or neither")
+        if self.task is not None and self.action_low is not None:
+            raise ValueError("action_low and action_high go with a data file: a task knows them")
+        _ = self.action_bounds
+
+    @property
+    def action_bounds(self) -> Bounds | None:
+        """The environment's, where they are stated."""
+        if self.action_low is None or self.action_high is None:
+            return None
+        return Bounds(self.action_low, self.action_high)
 
 
 def resolve(config: PretrainConfig, horizon: int | None) -> PretrainConfig:

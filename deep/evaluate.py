@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from deep.collect import Policy
 from deep.exact_answers import ExactAnswer, ExactTask, oracle_allows, oracle_blocks
-from deep.safety_filter import SafetyFilter
+from deep.safety_filter import Bounds, SafetyFilter
 from deep.tasks import Task
 from deep.tasks.shapes import inside_any
 from deep.tasks.task import Bools, Floats
@@ -45,10 +45,17 @@ class Gate(Protocol):
 
 @dataclass(frozen=True)
 class LearnedGate:
-    """A learned filter, which sees observations only."""
+    """A learned filter, which sees observations only.
+
+    Raises:
+        ValueError: if it was trained on other actions than a task's, which fill [-1, 1].
+    """
 
     task: Task
     safety: SafetyFilter
+
+    def __post_init__(self) -> None:
+        self.safety.for_actions(Bounds.unit(self.task.action_dim), self.task.name)
 
     def critic(self, state: Floats, action: Actions) -> NDArray[np.floating]:
         """Q_c by the networks."""

@@ -1,20 +1,62 @@
-"""How offline data become the networks' inputs: powers, means and standard deviations."""
+"""How offline data become the networks' inputs: powers, means, deviations; and what they cover."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deep.data import Transitions
-from deep.safety_filter import Normalisation
+from deep.safety_filter import CONSTANT, ROUNDING, Bounds, Normalisation
 
-__all__ = ["centre_and_scale", "normalisation_of", "normalisation_of_observations", "normalise"]
+__all__ = [
+    "Ranges",
+    "centre_and_scale",
+    "normalisation_of",
+    "normalisation_of_observations",
+    "normalise",
+    "ranges_of",
+    "with_action_bounds",
+]
 
-CONSTANT = 1e-6
-"""A coordinate that deviates by less, relative to its size or 1, is constant up to rounding."""
 ROWS = 1 << 14
+
+
+class Ranges(NamedTuple):
+    """What a filter is trained on, in the environment's units.
+
+    Attributes:
+        actions: bounds of the actions.
+        observations: the least and the greatest in which an action was taken.
+    """
+
+    actions: Bounds
+    observations: Bounds
+
+
+def ranges_of(data: Transitions, actions: Bounds | None = None) -> Ranges:
+    """The ranges of the data; ``actions`` are the environment's bounds, where they are known.
+
+    Raises:
+        ValueError: naming the row of an action outside of ``actions``.
+    """
+    observations = Bounds.covered(data.observations)
+    if actions is None:
+        return Ranges(Bounds.covered(data.actions), observations)
+    if len(actions.low) != data.actions.shape[1]:
+        raise ValueError(
+            f"actions lie in R^{data.actions.shape[1]}, their bounds in R^{len(actions.low)}"
+        )
+    low, high = actions.widened(ROUNDING)
+    outside = ((data.actions < low) | (data.actions > high)).any(axis=1)
+    if outside.any():
+        row = int(np.argmax(outside))
+        raise ValueError(
+            f"actions: row {row} is {data.actions[row].tolist()}, outside of their bounds {actions}"
+        )
+    return Ranges(actions, observations)
 
 
 def normalisation_of(data: Transitions, sharpness: float = 1.0) -> Normalisation:
@@ -27,13 +69,7 @@ def normalisation_of(data: Transitions, sharpness: float = 1.0) -> Normalisation
     coordinate that is constant up to rounding is only centred.
     """
     seen = normalisation_of_observations(data.observations, data.actions.shape[1], sharpness)
-    low, high = (data.actions.min(axis=0).astype(float), data.actions.max(axis=0).astype(float))
-    half = (high - low) / 2
-    return replace(
-        seen,
-        action_centre=tuple(((low + high) / 2).tolist()),
-        action_scale=tuple(np.where(half > 0, half, 1.0).tolist()),
-    )
+    return with_action_bounds(seen, Bounds.covered(data.actions))
 
 
 def normalisation_of_observations(
@@ -44,6 +80,17 @@ def normalisation_of_observations(
     sharpened = replace(identity, observation_power=_powers(x, sharpness))
     centre, scale = centre_and_scale(sharpened.powered(x))
     return replace(sharpened, observation_centre=centre, observation_scale=scale)
+
+
+def with_action_bounds(n: Normalisation, actions: Bounds) -> Normalisation:
+    """The same for observations, with actions by their bounds to [-1, 1]."""
+    low, high = np.array(actions.low), np.array(actions.high)
+    half = (high - low) / 2
+    return replace(
+        n,
+        action_centre=tuple(((low + high) / 2).tolist()),
+        action_scale=tuple(np.where(half > 0, half, 1.0).tolist()),
+    )
 
 
 def _powers(x: NDArray[np.float32], sharpness: float) -> tuple[float, ...]:

@@ -23,6 +23,8 @@ __all__ = [
     "check_layers",
     "for_raw_inputs",
     "forward",
+    "networks_from_bytes",
+    "networks_to_bytes",
     "read_networks",
     "write_networks",
 ]
@@ -83,7 +85,13 @@ def write_networks(
     path: str | os.PathLike[str], form: str, networks: dict[str, Layers], rest: dict[str, Any]
 ) -> None:
     """One safetensors file: arrays, and ``rest`` as JSON in its header under ``form``."""
-    from safetensors.numpy import save_file
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(networks_to_bytes(form, networks, rest))
+
+
+def networks_to_bytes(form: str, networks: dict[str, Layers], rest: dict[str, Any]) -> bytes:
+    """The content of the file that :func:`write_networks` writes."""
+    from safetensors.numpy import save
 
     arrays = {
         f"{part}.{i}.{kind}": np.ascontiguousarray(array)
@@ -91,9 +99,7 @@ def write_networks(
         for i, layer in enumerate(layers)
         for kind, array in zip(("weights", "biases"), layer, strict=True)
     }
-    header = {"networks": json.dumps({"format": form, **rest})}
-    with atomic_path(path) as temporary:
-        save_file(arrays, temporary, metadata=header)
+    return save(arrays, metadata={"networks": json.dumps({"format": form, **rest})})
 
 
 def read_networks(
@@ -104,23 +110,54 @@ def read_networks(
     Raises:
         ValueError: if the file is missing, broken, or of another form.
     """
-    from safetensors import SafetensorError, safe_open
-
     if not Path(path).is_file():
         raise ValueError(f"{path}: there is no such file")
     try:
-        with safe_open(path, framework="numpy") as file:
-            metadata = file.metadata() or {}
-            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (no mapping)
+        return networks_from_bytes(Path(path).read_bytes(), form, parts)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def networks_from_bytes(
+    content: bytes, form: str, parts: Sequence[str]
+) -> tuple[dict[str, Layers], dict[str, Any]]:
+    """What :func:`networks_to_bytes` gave.
+
+    Raises:
+        ValueError: if the content is broken, or of another form.
+    """
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    try:
+        arrays = load(content)
     except SafetensorError as error:
-        raise ValueError(f"{path}: not a safetensors file ({error})") from error
-    rest = json.loads(metadata.get("networks", "{}"))
+        raise ValueError(f"not a safetensors file ({error})") from error
+    rest = _header(content)
     if rest.get("format") != form:
-        raise ValueError(f"{path}: not a {form!r} file")
+        raise ValueError(f"not a {form!r} file{_older(rest.get('format'), form)}")
     try:
         return {part: _layers(arrays, part) for part in parts}, rest
     except KeyError as error:
-        raise ValueError(f"{path}: the file lacks {error}") from error
+        raise ValueError(f"the file lacks {error}") from error
+
+
+def _header(content: bytes) -> dict[str, Any]:
+    """The JSON under "networks" in a safetensors header; {} where there is none."""
+    length = int.from_bytes(content[:8], "little")
+    metadata = json.loads(content[8 : 8 + length]).get("__metadata__") or {}
+    try:
+        rest = json.loads(metadata.get("networks", "{}"))
+    except ValueError as error:
+        raise ValueError(f"the header is damaged ({error})") from error
+    return rest if isinstance(rest, dict) else {}
+
+
+def _older(found: object, form: str) -> str:
+    """What to do about a file of the same kind that an earlier version wrote."""
+    name = form.rsplit(" ", 1)[0]
+    same_kind = isinstance(found, str) and found != form and found.rsplit(" ", 1)[0] == name
+    return f" but {found!r}, of another version: make it anew with this one" if same_kind else ""
 
 
 def _layers(arrays: dict[str, Floats], part: str) -> Layers:

@@ -1,7 +1,8 @@
 """One run of Algorithm 1 in a folder: from data to safety filters, resumable at any moment.
 
 The folder holds ``config.json`` (resolved, with versions), ``progress.csv``,
-``checkpoint.safetensors`` and, at the end, ``filters/seed<k>.safetensors``. Every update
+``checkpoint.safetensors`` and, at the end, ``health.json`` and
+``filters/seed<k>.safetensors``. Every update
 is a function of the state before it and of its number, so a run that is killed and taken
 up again from its last checkpoint ends as if nothing had happened.
 """
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,11 +26,11 @@ from deep.config import PretrainConfig, config_from_json, config_to_json, resolv
 from deep.data import Transitions
 from deep.folder import CsvLog, InterruptAfterUpdate, fingerprint, read_object, versions
 from deep.formats import read_hdf5
-from deep.normalise import normalisation_of, normalise
+from deep.normalise import Ranges, normalisation_of, normalise, ranges_of
 from deep.pretrain import Learner, Sizes, build_learner
 from deep.pretrain.extract import extract_filter
-from deep.pretrain.health import CriticHealth, check_critics, check_losses
-from deep.safety_filter import Normalisation, SafetyFilter
+from deep.pretrain.health import FilterHealth, check_filter, check_losses, write_health
+from deep.safety_filter import Bounds, Normalisation, SafetyFilter
 from deep.tasks import Brake, DoubleIntegrator, Task, make_task
 
 __all__ = [
@@ -43,8 +45,6 @@ __all__ = [
 
 COLUMNS = ("update", "seed", "critic_loss", "value_loss", "recovery_loss", "mean_q", "seconds")
 DATA_STREAM = 7
-HEALTH_BATCH = 1 << 40
-"""The number of a batch that no training reaches: fresh rows for the last check."""
 
 
 @dataclass(frozen=True)
@@ -53,11 +53,11 @@ class PretrainResult:
 
     Attributes:
         filters: one a seed, in the order of the seeds.
-        health: of each seed's critic on a fresh batch.
+        health: what each seed's filter does with the log that it was trained on.
     """
 
     filters: tuple[SafetyFilter, ...]
-    health: tuple[CriticHealth, ...]
+    health: tuple[FilterHealth, ...]
 
 
 def task_horizon(task: Task) -> int | None:
@@ -113,26 +113,44 @@ def read_run(folder: Path) -> PretrainConfig:
     return config
 
 
-def load_data(config: PretrainConfig) -> tuple[list[Transitions], list[Normalisation]]:
+def load_data(
+    config: PretrainConfig,
+) -> tuple[list[Transitions], list[Normalisation], list[Ranges]]:
     """Normalised data, one set a seed from a task or one for all from a file; a
-    normalisation a seed.
+    normalisation a seed, and its ranges.
     """
     raw, normalisations = load_raw(config)
-    data = []
+    data, ranges = [], []
     for normalisation in normalisations[: len(raw)]:
+        ranges.append(_ranges(config, raw[0]))
         data.append(normalise(raw.pop(0), normalisation))  # not both at once, for all seeds
-    return data, normalisations
+    return data, normalisations, ranges * (len(config.seeds) // len(ranges))
+
+
+def _ranges(config: PretrainConfig, raw: Transitions) -> Ranges:
+    """A task's actions fill [-1, 1]; a file's bounds are stated, or what it covers."""
+    if config.task is not None:
+        return ranges_of(raw, Bounds.unit(raw.actions.shape[1]))
+    try:
+        return ranges_of(raw, config.action_bounds)
+    except ValueError as error:
+        raise ValueError(f"{config.data}: {error}") from error
 
 
 def load_raw(config: PretrainConfig) -> tuple[list[Transitions], list[Normalisation]]:
     """The same data as they were recorded, and how they are to be normalised."""
     if config.data is not None:
-        raw = read_hdf5(config.data)
+        raw = _recorded(config.data)
         return [raw], [normalisation_of(raw, config.sharpness)] * len(config.seeds)
     assert config.task is not None
     task = make_task(config.task)
     pairs = [_collected(task, config, seed) for seed in config.seeds]
     return [data for data, _ in pairs], [normalisation for _, normalisation in pairs]
+
+
+def _recorded(path: Path) -> Transitions:
+    """The data of a file, as they were recorded."""
+    return read_hdf5(path)
 
 
 def _collected(task: Task, config: PretrainConfig, seed: int) -> tuple[Transitions, Normalisation]:
@@ -152,6 +170,8 @@ def _collected(task: Task, config: PretrainConfig, seed: int) -> tuple[Transitio
 def pretrain(config: PretrainConfig, folder: Path, *, quiet: bool = False) -> PretrainResult:
     """Train, or go on training, in this folder.
 
+    A filter of no use is a result like any other: its ``health`` says so.
+
     An interrupt (Ctrl-C) is passed on after the update at work and a checkpoint.
 
     Raises:
@@ -159,11 +179,25 @@ def pretrain(config: PretrainConfig, folder: Path, *, quiet: bool = False) -> Pr
         FloatingPointError: if a loss is not a number; the last checkpoint stays.
     """
     config = check_run(config, folder)
+    filters = _learned(config, folder, quiet)
+    health = tuple(
+        check_filter(safety, log, config.horizon)
+        for safety, log in zip(filters, _logs(config), strict=True)
+    )
+    write_health(health, folder)
+    (folder / "filters").mkdir(exist_ok=True)
+    for safety in filters:
+        safety.save(folder / "filters" / f"seed{safety.seed}.safetensors")
+    return PretrainResult(filters, health)
+
+
+def _learned(config: PretrainConfig, folder: Path, quiet: bool) -> tuple[SafetyFilter, ...]:
+    """The filters of a run that has been trained to its end."""
     assert config.threshold is not None
     assert config.gamma_safe is not None
     if config.device == "cuda" and not torch.cuda.is_available():
         raise ValueError("device cuda: this machine or this build of torch has no CUDA device")
-    data, normalisations = load_data(config)
+    data, normalisations, ranges = load_data(config)
     device = torch.device(config.device)
     sizes = Sizes(data[0].observations.shape[1], data[0].actions.shape[1])
     learner = build_learner(config.method, sizes, config.seeds).to(device)
@@ -172,14 +206,22 @@ def pretrain(config: PretrainConfig, folder: Path, *, quiet: bool = False) -> Pr
     batches = Batches(data, config.seeds, settings.batch_size, settings.violation_share, device)
     del data  # the batches have their own copy
     _train(learner, batches, config, folder, quiet)
-    filters = tuple(
-        extract_filter(learner, seed, config.threshold, config.gamma_safe, normalisation)
-        for seed, normalisation in zip(config.seeds, normalisations, strict=True)
+    return tuple(
+        extract_filter(learner, seed, config.threshold, config.gamma_safe, normalisation, own)
+        for seed, normalisation, own in zip(config.seeds, normalisations, ranges, strict=True)
     )
-    (folder / "filters").mkdir(exist_ok=True)
-    for safety in filters:
-        safety.save(folder / "filters" / f"seed{safety.seed}.safetensors")
-    return PretrainResult(filters, check_critics(learner, batches.get(HEALTH_BATCH)))
+
+
+def _logs(config: PretrainConfig) -> Iterator[Transitions]:
+    """The data of each seed as they were recorded, once more, one after the other."""
+    if config.data is not None:
+        log = _recorded(config.data)
+        yield from (log for _ in config.seeds)
+        return
+    assert config.task is not None
+    task = make_task(config.task)
+    for seed in config.seeds:
+        yield _collected(task, config, seed)[0]
 
 
 def _train(

@@ -4,13 +4,24 @@ Equation (behavior_correction) of the paper, for n observations and actions at o
 
     a = a_task if Q_c(s, a_task) < epsilon, else the mean of pi_rec(s)
 
+What leaves a filter is finite and within its action bounds, whatever enters it:
+
+* an action outside the bounds is first moved to the nearest bound;
+* where an observation or an action holds a NaN or an infinity, nothing can be judged: Q_c
+  counts as 1 and the recovery policy acts;
+* the recovery policy sees such a coordinate of an observation at its mean over the
+  training data, and where its networks overflow it acts in the middle of its range.
+
 Nothing here needs torch: a filter is deployed with numpy and safetensors alone.
 """
 
 from __future__ import annotations
 
+import base64
 import os
-from dataclasses import asdict, dataclass, field
+import warnings
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -23,17 +34,84 @@ from deep.perceptron import (
     check_layers,
     for_raw_inputs,
     forward,
+    networks_from_bytes,
+    networks_to_bytes,
     read_networks,
     write_networks,
 )
 
 __all__ = [
+    "Bounds",
     "Correction",
     "Normalisation",
     "SafetyFilter",
+    "Watch",
 ]
 
-FORMAT = "dead-ends safety filter 1"
+Bools = NDArray[np.bool_]
+
+FORMAT = "dead-ends safety filter 2"
+FAR = 0.1
+"""An observation is far outside if it leaves its range by more than this share of it."""
+UNSEEN = 0.05
+"""The share of a filter's action range by which an environment's may be wider at an end: the
+ends of the range are seldom among the logged actions."""
+ROUNDING = 1e-3
+"""The share by which it may be narrower: logged actions are rounded."""
+CONSTANT = 1e-6
+"""A coordinate that deviates by less, relative to its size or 1, is constant up to rounding."""
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """low <= x <= high, one number a coordinate.
+
+    Attributes:
+        low, high: the ends; finite.
+    """
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.low) != len(self.high):
+            raise ValueError(f"bounds: {len(self.low)} lower ends for {len(self.high)} upper ones")
+        if not all(np.isfinite(self.low)) or not all(np.isfinite(self.high)):
+            raise ValueError(f"bounds must be finite, not {self}")
+        if any(low > high for low, high in zip(self.low, self.high, strict=True)):
+            raise ValueError(f"bounds must not cross, as {self} do")
+
+    def __str__(self) -> str:
+        return f"{_numbers(self.low)} to {_numbers(self.high)}"
+
+    @classmethod
+    def of(cls, low: NDArray[Any], high: NDArray[Any]) -> Bounds:
+        """From arrays, each of one number a coordinate."""
+        return cls(tuple(low.astype(float).tolist()), tuple(high.astype(float).tolist()))
+
+    @classmethod
+    def covered(cls, rows: NDArray[Any]) -> Bounds:
+        """The least and the greatest of rows (n, d)."""
+        return cls.of(rows.min(axis=0), rows.max(axis=0))
+
+    @classmethod
+    def unit(cls, dim: int) -> Bounds:
+        """[-1, 1] in every coordinate."""
+        return cls((-1.0,) * dim, (1.0,) * dim)
+
+    def widened(self, share: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Low and high (d,), moved apart by a share of the width and by rounding, at each end."""
+        low, high = np.array(self.low), np.array(self.high)
+        size = np.maximum(1, np.maximum(abs(low), abs(high)))
+        margin = share * (high - low) + CONSTANT * size
+        return low - margin, high + margin
+
+
+def _numbers(values: Sequence[float]) -> str:
+    """(a, b, ...), a long list cut in its middle."""
+    shown = [f"{x:.4g}" for x in values]
+    shown = shown if len(shown) <= 8 else [*shown[:6], "...", shown[-1]]
+    return f"({', '.join(shown)})"
 
 
 @dataclass(frozen=True)
@@ -104,14 +182,19 @@ class Correction:
     """What behavior correction did with n actions.
 
     Attributes:
-        executed: float32 (n, action dim), the actions to take.
-        intervened: bool (n,), where they are not the agent's.
-        critic: float32 (n,), Q_c of the agent's actions.
+        executed: float32 (n, action dim), the actions to take: finite and within bounds.
+        intervened: bool (n,), where the recovery policy acts. Elsewhere it is the agent's
+            own action, moved to the nearest bound where it lies outside.
+        critic: float32 (n,), Q_c of the agent's actions; 1 where it cannot be computed.
+        out_of_range: bool (n,), where an observation lies far outside of the training data.
+        not_finite: bool (n,), where an observation or an action holds a NaN or an infinity.
     """
 
     executed: Floats
-    intervened: NDArray[np.bool_]
+    intervened: Bools
     critic: Floats
+    out_of_range: Bools
+    not_finite: Bools
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +207,8 @@ class SafetyFilter:
             then the log standard deviation.
         threshold: epsilon, in (0, 1].
         normalisation: of observations and actions.
+        actions: the bounds of the actions that it was trained on, in the environment's units.
+        observations: the range of the observations that it was trained on.
         reach: the recovery action is reach * tanh(mean), cut off at the action range.
         gamma_safe, method, seed: where it comes from.
     """
@@ -132,6 +217,8 @@ class SafetyFilter:
     recovery: Layers
     threshold: float
     normalisation: Normalisation
+    actions: Bounds
+    observations: Bounds
     reach: float
     gamma_safe: float
     method: str
@@ -139,13 +226,21 @@ class SafetyFilter:
     # The same networks for raw observations and actions: what runs at every step.
     _raw_critic: Layers = field(init=False, repr=False)
     _raw_recovery: Layers = field(init=False, repr=False)
+    _observation_centre: Floats = field(init=False, repr=False)
     _action_scale: Floats = field(init=False, repr=False)
     _action_centre: Floats = field(init=False, repr=False)
+    _action_ends: tuple[Floats, Floats] = field(init=False, repr=False)
+    _near: tuple[Floats, Floats] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not 0 < self.threshold <= 1:
             raise ValueError(f"threshold must lie in (0, 1], not {self.threshold}")
         o, a = self.observation_dim, self.action_dim
+        if (len(self.observations.low), len(self.actions.low)) != (o, a):
+            raise ValueError(
+                f"the bounds are those of {len(self.observations.low)} observations and "
+                f"{len(self.actions.low)} actions, expected {o} and {a}"
+            )
         check_layers("critic", self.critic, o + a, 1)
         check_layers("recovery", self.recovery, o, 2 * a)
         for weights, biases in (*self.critic, *self.recovery):
@@ -153,11 +248,15 @@ class SafetyFilter:
         n = self.normalisation
         centre = np.array(n.observation_centre + n.action_centre)
         scale = np.array(n.observation_scale + n.action_scale)
+        low, high = self.observations.widened(FAR)
         for name, value in (
             ("_raw_critic", for_raw_inputs(self.critic, centre, scale)),
             ("_raw_recovery", for_raw_inputs(self.recovery, centre[:o], scale[:o])),
+            ("_observation_centre", np.array(n.observation_centre, dtype=np.float32)),
             ("_action_scale", np.array(n.action_scale, dtype=np.float32)),
             ("_action_centre", np.array(n.action_centre, dtype=np.float32)),
+            ("_action_ends", inner_ends(self.actions)),
+            ("_near", (low.astype(np.float32), high.astype(np.float32))),
         ):
             object.__setattr__(self, name, value)
 
@@ -173,55 +272,126 @@ class SafetyFilter:
 
     def with_threshold(self, threshold: float) -> SafetyFilter:
         """The same networks behind another epsilon."""
-        return SafetyFilter(
-            self.critic,
-            self.recovery,
-            threshold,
-            self.normalisation,
-            self.reach,
-            self.gamma_safe,
-            self.method,
-            self.seed,
+        return replace(self, threshold=threshold)
+
+    def for_actions(self, bounds: Bounds, where: str) -> SafetyFilter:
+        """The same filter for an environment whose actions have these bounds.
+
+        They may be wider than the filter's by 5% of its range at each end, because the ends
+        are seldom among logged actions; not narrower.
+
+        Args:
+            bounds: the environment's, in its own units.
+            where: the environment, for the message.
+
+        Raises:
+            ValueError: if they are other bounds than those it was trained on.
+        """
+        low, high = np.array(self.actions.low), np.array(self.actions.high)
+        least, most = np.array(bounds.low), np.array(bounds.high)
+        width = high - low
+        fits = (
+            (low - UNSEEN * width <= least)
+            & (least <= low + ROUNDING * width)
+            & (high - ROUNDING * width <= most)
+            & (most <= high + UNSEEN * width)
         )
+        if not fits.all():
+            raise ValueError(
+                f"{where}: its actions lie in {bounds}, the filter was trained on actions in "
+                f"{self.actions}; if only the log shows no others, state the environment's "
+                "bounds in pretraining (--action-low, --action-high)"
+            )
+        return replace(self, actions=bounds)
 
     def q(self, observations: NDArray[Any], actions: NDArray[Any]) -> Floats:
-        """float32 (n,): Q_c(s, a), the most pessimistic member's, for (n, o) and (n, a)."""
-        seen = self.normalisation.powered(observations)
-        x = np.concatenate([seen, actions], axis=1, dtype=np.float32, casting="same_kind")
-        logits = forward(self._raw_critic, x)[:, :, 0].max(axis=0)
-        return _sigmoid(logits)
+        """float32 (n,): Q_c(s, a), the most pessimistic member's, for (n, o) and (n, a).
+
+        1 where an observation or an action is not finite, or the networks overflow.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            seen = self.normalisation.powered(observations)
+            x = np.concatenate([seen, actions], axis=1, dtype=np.float32, casting="same_kind")
+            logits = forward(self._raw_critic, x)[:, :, 0].max(axis=0)
+        known = _finite(observations) & np.isfinite(x).all(axis=1) & ~np.isnan(logits)
+        return np.where(known, _sigmoid(logits), np.float32(1))
 
     def recovery_action(self, observations: NDArray[Any]) -> Floats:
-        """float32 (n, a): the mean of pi_rec, in the environment's units."""
-        seen = self.normalisation.powered(observations)
-        mean = forward(self._raw_recovery, seen)[:, : self.action_dim]
-        action = np.minimum(np.maximum(self.reach * np.tanh(mean), -1), 1)
-        return np.asarray(action * self._action_scale + self._action_centre, dtype=np.float32)
+        """float32 (n, a): the mean of pi_rec, in the environment's units and within bounds.
+
+        A coordinate of an observation that is not finite is taken to be at its mean; where the
+        networks overflow, the action is the middle of the policy's range.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            seen = self.normalisation.powered(observations)
+            known = np.isfinite(seen) & np.isfinite(observations)
+            seen = np.where(known, seen, self._observation_centre)
+            mean = forward(self._raw_recovery, seen)[:, : self.action_dim]
+        reached = np.where(np.isnan(mean), 0, self.reach * np.tanh(mean))
+        action = np.minimum(np.maximum(reached, -1), 1) * self._action_scale + self._action_centre
+        low, high = self._action_ends
+        return np.asarray(np.minimum(np.maximum(action, low), high), dtype=np.float32)
 
     def correct(self, observations: NDArray[Any], actions: NDArray[Any]) -> Correction:
         """Equation (behavior_correction) for n observations and actions.
 
-        An action at or above the threshold is replaced; so is one whose critic is NaN.
+        Actions are first moved to the nearest bound. One at or above the threshold is
+        replaced; so is one that cannot be judged, see the head of this module.
         """
-        critic = self.q(observations, actions)
+        low, high = self._action_ends
+        with np.errstate(over="ignore"):
+            seen = np.asarray(observations, dtype=np.float32)
+            proposed = np.asarray(actions, dtype=np.float32)
+        not_finite = ~(_finite(seen) & _finite(proposed))
+        executed = np.minimum(np.maximum(proposed, low), high)
+        critic = np.where(not_finite, np.float32(1), self.q(seen, executed))
         intervened = ~(critic < self.threshold)
-        executed = np.array(actions, dtype=np.float32)
         if intervened.any():
-            recovery = self.recovery_action(observations)
-            executed = np.where(intervened[:, None], recovery, executed)
-        return Correction(executed, intervened, critic)
+            executed = np.where(intervened[:, None], self.recovery_action(seen), executed)
+        return Correction(executed, intervened, critic, self.out_of_range(seen), not_finite)
+
+    def out_of_range(self, observations: NDArray[Any]) -> Bools:
+        """bool (n,): observations (n, o) that lie far outside of the training data.
+
+        By more than a tenth of the range of a coordinate; a NaN lies nowhere, and counts not.
+        """
+        return np.asarray(self._strays(observations).any(axis=1))
+
+    def _strays(self, observations: NDArray[Any]) -> Bools:
+        low, high = self._near
+        return np.asarray((observations < low) | (observations > high))
+
+    def stray(self, observation: NDArray[Any]) -> str:
+        """Which coordinate of an observation (o,) lies far outside, and of what range."""
+        j = int(self._strays(observation[None])[0].argmax())
+        low, high = self.observations.low[j], self.observations.high[j]
+        return (
+            f"coordinate {j} is {observation[j]:.4g}, the data reach from {low:.4g} to {high:.4g}"
+        )
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write one safetensors file: arrays, and the rest as JSON in its header."""
-        rest = {
+        write_networks(path, FORMAT, self._networks(), self._rest())
+
+    def to_text(self) -> str:
+        """The content of the file that :meth:`save` writes, in base64: for JSON."""
+        content = networks_to_bytes(FORMAT, self._networks(), self._rest())
+        return base64.b64encode(content).decode()
+
+    def _networks(self) -> dict[str, Layers]:
+        return {"critic": self.critic, "recovery": self.recovery}
+
+    def _rest(self) -> dict[str, Any]:
+        return {
             "threshold": self.threshold,
             "normalisation": asdict(self.normalisation),
+            "actions": asdict(self.actions),
+            "observations": asdict(self.observations),
             "reach": self.reach,
             "gamma_safe": self.gamma_safe,
             "method": self.method,
             "seed": self.seed,
         }
-        write_networks(path, FORMAT, {"critic": self.critic, "recovery": self.recovery}, rest)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> SafetyFilter:
@@ -232,21 +402,93 @@ class SafetyFilter:
         """
         layers, rest = read_networks(path, FORMAT, ("critic", "recovery"))
         try:
-            normalisation = Normalisation.from_json(rest["normalisation"])
-            return cls(
-                layers["critic"],
-                layers["recovery"],
-                float(rest["threshold"]),
-                normalisation,
-                float(rest["reach"]),
-                float(rest["gamma_safe"]),
-                str(rest["method"]),
-                int(rest["seed"]),
-            )
-        except (KeyError, TypeError) as error:
-            raise ValueError(f"{path}: the safety filter lacks {error}") from error
+            return cls._from_parts(layers, rest)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
+
+    @classmethod
+    def from_text(cls, text: str) -> SafetyFilter:
+        """What :meth:`to_text` gave.
+
+        Raises:
+            ValueError: if it is broken, or something else.
+        """
+        content = base64.b64decode(text, validate=True)
+        return cls._from_parts(*networks_from_bytes(content, FORMAT, ("critic", "recovery")))
+
+    @classmethod
+    def _from_parts(cls, layers: dict[str, Layers], rest: dict[str, Any]) -> SafetyFilter:
+        try:
+            ranges = {
+                name: Bounds(tuple(rest[name]["low"]), tuple(rest[name]["high"]))
+                for name in ("actions", "observations")
+            }
+            return cls(
+                critic=layers["critic"],
+                recovery=layers["recovery"],
+                threshold=float(rest["threshold"]),
+                normalisation=Normalisation.from_json(rest["normalisation"]),
+                **ranges,
+                reach=float(rest["reach"]),
+                gamma_safe=float(rest["gamma_safe"]),
+                method=str(rest["method"]),
+                seed=int(rest["seed"]),
+            )
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"the safety filter lacks {error}") from error
+
+
+class Watch:
+    """Counts what a filter does and should not meet; warns of each of the latter once.
+
+    Attributes:
+        steps, interventions, out_of_range, not_finite: counts of actions.
+    """
+
+    def __init__(self) -> None:
+        self.steps = 0
+        self.interventions = 0
+        self.out_of_range = 0
+        self.not_finite = 0
+
+    def add(self, safety: SafetyFilter, observations: NDArray[Any], correction: Correction) -> None:
+        """Count a correction of the filter in these observations (n, o)."""
+        self.steps += len(correction.intervened)
+        self.interventions += int(correction.intervened.sum())
+        if correction.out_of_range.any():
+            if not self.out_of_range:
+                first = observations[int(correction.out_of_range.argmax())]
+                warnings.warn(
+                    "an observation lies far outside of what the safety filter was trained on "
+                    f"({safety.stray(first)}): its answers there are guesses; further ones are "
+                    "counted, not warned of",
+                    stacklevel=3,
+                )
+            self.out_of_range += int(correction.out_of_range.sum())
+        if correction.not_finite.any():
+            if not self.not_finite:
+                warnings.warn(
+                    "an observation or an action holds a NaN or an infinity: the recovery policy "
+                    "acts instead; further ones are counted, not warned of",
+                    stacklevel=3,
+                )
+            self.not_finite += int(correction.not_finite.sum())
+
+
+def inner_ends(bounds: Bounds) -> tuple[Floats, Floats]:
+    """The bounds in float32, where rounding must not widen them."""
+    low, high = np.array(bounds.low), np.array(bounds.high)
+    least, most = low.astype(np.float32), high.astype(np.float32)
+    up, down = np.float32(np.inf), np.float32(-np.inf)
+    return (
+        np.where(least < low, np.nextafter(least, up), least),
+        np.where(most > high, np.nextafter(most, down), most),
+    )
+
+
+def _finite(rows: NDArray[Any]) -> Bools:
+    """bool (n,): which of the rows (n, d) hold finite numbers only."""
+    return np.asarray(np.isfinite(rows).all(axis=1))
 
 
 def _sigmoid(logits: Floats) -> Floats:

@@ -10,7 +10,6 @@ from typing import Annotated
 import tyro
 
 from deep.config import PretrainConfig
-from deep.pretrain.health import Status
 from deep.run import pretrain
 
 
@@ -27,14 +26,17 @@ class Pretrain:
     run_config: Annotated[PretrainConfig, tyro.conf.arg(name="")]
 
     def run(self) -> None:
-        """Train, report on every seed, and warn of critics that are of no use."""
+        """Train, report on every seed, and warn of filters that are of no use.
+
+        A filter of no use is a result, and the run finished: the status is 0.
+        """
         result = pretrain(self.run_config, self.out)
         for safety, health in zip(result.filters, result.health, strict=True):
             print(f"{self.out / 'filters'}/seed{safety.seed}.safetensors: {health}")
-        broken = [str(h.seed) for h in result.health if h.status != Status.SOUND]
-        if broken:
+        useless = [str(health.seed) for health in result.health if health.fault]
+        if useless:
             print(
-                f"deep: warning: {len(broken)} of {len(result.health)} critics are of no use "
-                f"(seeds: {', '.join(broken)})",
+                f"deep: warning: {len(useless)} of {len(result.health)} filters are of no use "
+                f"(seeds: {', '.join(useless)})",
                 file=sys.stderr,
             )

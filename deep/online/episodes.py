@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deep.online.fleet import environment_seed, make_vector_env
-from deep.safety_filter import SafetyFilter
+from deep.safety_filter import SafetyFilter, Watch
 
 __all__ = ["Act", "Episodes", "run_episodes"]
 
 Act = Callable[[NDArray[np.float32]], NDArray[np.float32]]
-"""Raw observations (n, o) -> actions (n, a)."""
+"""Raw observations (n, o) -> actions (n, a) in the environment's own units."""
 EVALUATION_STREAM = 6
 
 
@@ -94,6 +94,7 @@ def run_episodes(
     returns, lengths = np.zeros(episodes), np.zeros(episodes, dtype=np.int64)
     violated = np.zeros(episodes, dtype=np.bool_)
     interventions = np.zeros(episodes, dtype=np.int64)
+    watch = Watch()
     try:
         observation, _ = env.reset(seed=environment_seed(seed, EVALUATION_STREAM))
         while (running := begun < quota).any():
@@ -101,6 +102,7 @@ def run_episodes(
             intervened = np.zeros(n, dtype=np.bool_)
             if safety is not None:
                 correction = safety.correct(observation, action)
+                watch.add(safety, observation, correction)
                 action, intervened = correction.executed, correction.intervened
             observation, reward, terminal, timeout, info = env.step(action)
             copy = np.flatnonzero(running)

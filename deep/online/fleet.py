@@ -9,7 +9,9 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
+from deep.correction import action_bounds
 from deep.pretrain.learner import Sizes
+from deep.safety_filter import Bounds, Normalisation
 from deep.tasks import TaskVectorEnv, make_task
 from deep.tasks.gym import GymVectorEnv
 from deep.tasks.safety_gym.real import RealVectorEnv
@@ -18,10 +20,12 @@ __all__ = [
     "Arrived",
     "Fleet",
     "check_fit",
+    "check_units",
     "environment_seed",
     "evaluation_copies",
     "make_vector_env",
     "task_sizes",
+    "task_spaces",
 ]
 
 REAL = "real:"
@@ -60,9 +64,14 @@ def evaluation_copies(task: str) -> int | None:
 
 def task_sizes(task: str) -> Sizes:
     """Dimensions of a task's observations and actions."""
+    return task_spaces(task)[0]
+
+
+def task_spaces(task: str) -> tuple[Sizes, Bounds]:
+    """The same, and the bounds of its actions in the environment's own units."""
     fleet = Fleet(task, (0,), 1)
     try:
-        return Sizes(fleet.observation_dim, fleet.action_dim)
+        return Sizes(fleet.observation_dim, fleet.action_dim), fleet.action_bounds
     finally:
         fleet.close()
 
@@ -84,6 +93,25 @@ def check_fit(what: str, found: Sizes, task: str, sizes: Sizes) -> None:
             f"{what} observations in R^{found.observation} and actions in R^{found.action}, "
             f"{task} has R^{sizes.observation} and R^{sizes.action}"
         )
+
+
+def check_units(what: str, made: Normalisation, task: str, bounds: Bounds) -> None:
+    """Refuse task policies that were made for actions with other bounds than the task's.
+
+    Args:
+        what: the beginning of the message, up to its verb or colon.
+        made: the policies' normalisation.
+        task: the task's name.
+        bounds: the task's, in the environment's units.
+
+    Raises:
+        ValueError: naming both.
+    """
+    centre, scale = np.array(made.action_centre), np.array(made.action_scale)
+    found = Bounds.of(centre - scale, centre + scale)
+    same = np.allclose((found.low, found.high), (bounds.low, bounds.high), rtol=1e-5, atol=1e-8)
+    if not same:
+        raise ValueError(f"{what} actions in {found}, those of {task} lie in {bounds}")
 
 
 def environment_seed(seed: int, *stream: int) -> int:
@@ -135,6 +163,11 @@ class Fleet:
     def action_dim(self) -> int:
         """Coordinates of an action."""
         return int(np.prod(self.envs[0].single_action_space.shape or ()))
+
+    @property
+    def action_bounds(self) -> Bounds:
+        """The bounds of an action, in the environment's own units."""
+        return action_bounds(self.envs[0].single_action_space)
 
     def reset(self, step: int = 0) -> NDArray[np.float32]:
         """First observations (K, N, o), other ones at each ``step`` that a run goes on from."""

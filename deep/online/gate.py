@@ -2,6 +2,9 @@
 
     a = a_task if Q_c(s, a_task) < epsilon, else the mean of pi_rec(s)
 
+All actions are in the environment's own units. What is executed is finite and within the
+bounds by the rules of :mod:`deep.safety_filter`, finetuned or not.
+
 DEA-RRL's critic and recovery policy stay as pretrained, which gives the task policy a
 stable environment; RRL's go on learning, because the critic it needs is the task policy's.
 """
@@ -16,12 +19,13 @@ import torch
 from numpy.typing import NDArray
 
 from deep.batches import Batch, Batches
+from deep.normalise import Ranges
 from deep.online.learner import TaskBatch
-from deep.online.scaling import Scaling
+from deep.online.scaling import Scaling, columns
 from deep.pretrain import Learner, Rrl, TaskPolicy
 from deep.pretrain.extract import extract_filter
 from deep.pretrain.health import check_losses
-from deep.safety_filter import SafetyFilter
+from deep.safety_filter import SafetyFilter, Watch, inner_ends
 
 __all__ = ["FinetunedGate", "FrozenGate", "Gate", "Gated", "OpenGate"]
 
@@ -72,14 +76,21 @@ class OpenGate:
 
 
 class FrozenGate:
-    """DEA-RRL and its forms: one pretrained filter a seed."""
+    """DEA-RRL and its forms: one pretrained filter a seed.
+
+    Attributes:
+        watch: counts of what the filters did and met, over all seeds.
+    """
 
     def __init__(self, filters: Sequence[SafetyFilter]) -> None:
         self._filters = tuple(filters)
+        self.watch = Watch()
 
     def correct(self, observation: Floats, action: Floats) -> Gated:
         """Equation (behavior_correction) of every seed's filter."""
         done = [f.correct(s, a) for f, s, a in zip(self._filters, observation, action, strict=True)]
+        for safety, seen, correction in zip(self._filters, observation, done, strict=True):
+            self.watch.add(safety, seen, correction)
         return Gated(
             np.stack([part.executed for part in done]), np.stack([part.intervened for part in done])
         )
@@ -99,6 +110,7 @@ class FinetunedGate:
         learner: pretrained; changed in place.
         thresholds: one a seed.
         scaling: what the learner's networks see.
+        ranges: of the pretraining's data, one a seed; the action bounds are the task's.
         gamma_safe: the learner's discount of the cost.
         offline: the pretraining's data as recorded, half of the batch size at a time.
     """
@@ -108,6 +120,7 @@ class FinetunedGate:
         learner: Learner,
         thresholds: Sequence[float],
         scaling: Scaling,
+        ranges: Sequence[Ranges],
         gamma_safe: float,
         offline: Batches,
     ) -> None:
@@ -116,15 +129,25 @@ class FinetunedGate:
         self._thresholds = tuple(thresholds)
         self._limits = torch.tensor(thresholds, dtype=torch.float32)[:, None]
         self._scaling = scaling
+        self._ranges = tuple(ranges)
+        ends = [inner_ends(own.actions) for own in ranges]
+        self._low, self._high = (
+            columns(x.tolist() for x in end) for end in zip(*ends, strict=True)
+        )
         self._offline = offline
 
     @torch.no_grad()
     def correct(self, observation: Floats, action: Floats) -> Gated:
         """Equation (behavior_correction) with the critic of the moment."""
-        s = self._scaling.observation(torch.from_numpy(observation))
-        a = torch.from_numpy(action)
-        intervened = ~(self.learner.critic.worst(s, self._scaling.action(a)) < self._limits)
-        recovery = self._scaling.raw_action(self.learner.recovery.mean_action(s))
+        raw, proposed = torch.from_numpy(observation), torch.from_numpy(action)
+        known = raw.isfinite().all(dim=-1) & proposed.isfinite().all(dim=-1)
+        s = self._scaling.observation(raw)
+        s = torch.where(raw.isfinite() & s.isfinite(), s, 0.0)
+        a = proposed.clamp(self._low, self._high)
+        critic = self.learner.critic.worst(s, self._scaling.action(a))
+        intervened = ~(known & (critic < self._limits))
+        unit = self.learner.recovery.mean_action(s).nan_to_num(nan=0.0)
+        recovery = self._scaling.raw_action(unit).clamp(self._low, self._high)
         return Gated(torch.where(intervened[..., None], recovery, a).numpy(), intervened.numpy())
 
     def learn(self, update: int, batch: TaskBatch, task_policy: TaskPolicy) -> None:
@@ -156,9 +179,13 @@ class FinetunedGate:
     def filters(self) -> tuple[SafetyFilter, ...]:
         """Copies of the networks of the moment."""
         return tuple(
-            extract_filter(self.learner, seed, threshold, self._gamma_safe, normalisation)
-            for seed, threshold, normalisation in zip(
-                self.learner.seeds, self._thresholds, self._scaling.normalisation, strict=True
+            extract_filter(self.learner, seed, threshold, self._gamma_safe, normalisation, ranges)
+            for seed, threshold, normalisation, ranges in zip(
+                self.learner.seeds,
+                self._thresholds,
+                self._scaling.normalisation,
+                self._ranges,
+                strict=True,
             )
         )
 

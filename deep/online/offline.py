@@ -14,7 +14,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from tqdm import tqdm
 
@@ -23,8 +22,8 @@ from deep.checkpoint import load_checkpoint, save_checkpoint
 from deep.data import Transitions
 from deep.folder import CsvLog, InterruptAfterUpdate, fingerprint
 from deep.formats import read_hdf5
-from deep.normalise import normalisation_of_observations, normalise
-from deep.online.fleet import check_fit, task_sizes
+from deep.normalise import normalisation_of_observations, normalise, ranges_of, with_action_bounds
+from deep.online.fleet import check_fit, task_spaces
 from deep.online.iql import Iql, IqlSettings
 from deep.online.learner import TaskBatch, TaskLosses
 from deep.online.results import (
@@ -43,13 +42,11 @@ from deep.online.results import (
     write_result,
 )
 from deep.pretrain.learner import Sizes
-from deep.safety_filter import Normalisation
+from deep.safety_filter import Bounds, Normalisation
 
 __all__ = ["OfflineConfig", "task_batch", "train_offline"]
 
 PROGRESS = ("step", "seed", "critic_loss", "policy_loss", "seconds")
-BEYOND = 1e-3
-"""How far outside [-1, 1] an action may be by rounding."""
 
 
 @dataclass(frozen=True)
@@ -134,11 +131,11 @@ class _Run:
     def __init__(self, config: OfflineConfig, folder: Path, known: str | None) -> None:
         self.config = config
         self.folder = folder
-        sizes = task_sizes(config.task)
+        sizes, bounds = task_spaces(config.task)
         data = read_hdf5(config.data)
-        _check_fit(config, data, sizes)
-        # A task's actions fill [-1, 1]: they stay as they are.
-        self.normalisation = normalisation_of_observations(data.observations, sizes.action)
+        _check_fit(config, data, sizes, bounds)
+        seen = normalisation_of_observations(data.observations, sizes.action)
+        self.normalisation = with_action_bounds(seen, bounds)
         self.batches = Batches(
             [normalise(data, self.normalisation)],
             config.seeds,
@@ -232,11 +229,10 @@ class _Run:
         )
 
 
-def _check_fit(config: OfflineConfig, data: Transitions, sizes: Sizes) -> None:
+def _check_fit(config: OfflineConfig, data: Transitions, sizes: Sizes, bounds: Bounds) -> None:
     found = Sizes(data.observations.shape[1], data.actions.shape[1])
     check_fit(f"{config.data}:", found, config.task, sizes)
-    outside = (np.abs(data.actions) > 1 + BEYOND).any(axis=1)
-    if outside.any():
-        raise ValueError(
-            f"{config.data}: actions: row {int(np.argmax(outside))} is outside [-1, 1]"
-        )
+    try:
+        ranges_of(data, bounds)
+    except ValueError as error:
+        raise ValueError(f"{config.data}: {error} of {config.task}") from error

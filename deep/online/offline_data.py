@@ -15,8 +15,9 @@ from deep.collect import collect, random_policy
 from deep.data import Transitions, concatenate, keep_before_violation
 from deep.folder import read_object
 from deep.online.config import TrainConfig, train_config_from_json
-from deep.online.fleet import Fleet, evaluation_copies, task_sizes
+from deep.online.fleet import Fleet, check_units, evaluation_copies, task_spaces
 from deep.online.replay import Replay
+from deep.task_policy import TrainedPolicy
 from deep.tasks import make_task
 
 __all__ = ["offline_data", "replayed", "training_run"]
@@ -52,13 +53,16 @@ def replayed(folder: Path, seed: int) -> Transitions:
         raise ValueError(f"{folder}: not a finished run that kept its replay buffer")
     if seed not in config.seeds:
         raise ValueError(f"{folder}: there is no seed {seed}, only {list(config.seeds)}")
+    sizes, bounds = task_spaces(config.task)
+    policy = TrainedPolicy.load(folder / "policies" / f"seed{seed}.safetensors")
+    check_units(f"{folder}: it recorded", policy.normalisation, config.task, bounds)
     replay = Replay(
         folder / "replay.bin",
         config.seeds,
         config.copies,
         config.replay // config.copies,
         config.checkpoint_every // config.copies,
-        *task_sizes(config.task),
+        *sizes,
     )
     try:
         return replay.transitions(seed, config.steps // config.copies)
@@ -105,11 +109,13 @@ def _in_environments(
 ) -> Transitions:
     """The same where there is no batch-vectorised task, but a "real:" or "gym:" environment."""
     fleet = Fleet(task, (int(rng.integers(SEEDS)),), copies)
+    low, high = np.array(fleet.action_bounds.low), np.array(fleet.action_bounds.high)
     steps = []
     try:
         observation = fleet.reset()
         for _ in range(-(-transitions // copies)):
-            action = rng.uniform(-1, 1, (1, copies, fleet.action_dim)).astype(np.float32)
+            drawn = rng.uniform(low, high, (1, copies, fleet.action_dim))
+            action = drawn.astype(np.float32)
             following, last, *outcome = fleet.step(action)
             steps.append((observation, action, last, *outcome))
             observation = following

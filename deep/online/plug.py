@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from deep.folder import read_object
-from deep.online.fleet import check_fit, task_sizes
+from deep.online.fleet import check_fit, check_units, task_spaces
 from deep.online.pretrained import load_filters
 from deep.online.results import evaluate, seed_entry, write_result
 from deep.pretrain.learner import Sizes
@@ -42,8 +42,9 @@ def evaluate_policies(
         task: evaluate there instead of where the policies were trained.
 
     Raises:
-        ValueError: if a run is missing or unfinished, lacks a seed or does not fit the task,
-            if ``out`` holds a run, or a threshold is given without filters.
+        ValueError: if a run is missing or unfinished, lacks a seed or does not fit the task
+            (dimensions, action bounds), if ``out`` holds a run, or a threshold is given
+            without filters.
     """
     if threshold is not None and safety is None:
         raise ValueError("threshold needs filters: safety")
@@ -60,12 +61,15 @@ def evaluate_policies(
         TrainedPolicy.load(policies / "policies" / f"seed{seed}.safetensors") for seed in numbers
     ]
     gates = [] if safety is None else _filters(safety, numbers, threshold)
-    sizes = task_sizes(where)
+    sizes, bounds = task_spaces(where)
     for folder, kind, made in ((policies, "policies", trained), (safety, "filters", gates)):
         for one in made:
             n = one.normalisation
             found = Sizes(len(n.observation_centre), len(n.action_centre))
             check_fit(f"{folder}: its {kind} take", found, where, sizes)
+    for policy in trained:
+        check_units(f"{policies}: its policies choose", policy.normalisation, where, bounds)
+    gates = [gate.for_actions(bounds, where) for gate in gates]
     thresholds: list[float | None] = [gate.threshold for gate in gates]
     seeds = [
         seed_entry(seed, found, tv=None, episodes=None, training_arr=None, threshold=epsilon)

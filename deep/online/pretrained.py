@@ -10,6 +10,7 @@ import torch
 from deep.batches import Batches
 from deep.checkpoint import load_checkpoint
 from deep.config import PretrainConfig
+from deep.normalise import Ranges
 from deep.online.config import TrainConfig
 from deep.online.fleet import check_fit
 from deep.online.gate import FinetunedGate, FrozenGate, Gate, OpenGate
@@ -17,13 +18,15 @@ from deep.online.scaling import Scaling
 from deep.pretrain import Learner, RrlMsdpSettings, RrlSettings, build_learner
 from deep.pretrain.learner import Sizes
 from deep.run import load_raw, read_run
-from deep.safety_filter import SafetyFilter
+from deep.safety_filter import Bounds, SafetyFilter
 
 __all__ = ["build_gate", "load_filters"]
 
 
-def build_gate(config: TrainConfig, sizes: Sizes) -> Gate:
+def build_gate(config: TrainConfig, sizes: Sizes, actions: Bounds) -> Gate:
     """The gate that the configuration asks for; an open one without a pretraining run.
+
+    ``sizes`` and ``actions``, the action bounds, are the task's.
 
     Raises:
         ValueError: if the pretraining run is missing, unfinished, or does not fit the task.
@@ -36,6 +39,7 @@ def build_gate(config: TrainConfig, sizes: Sizes) -> Gate:
     for safety in filters:
         found = Sizes(safety.observation_dim, safety.action_dim)
         check_fit(f"{config.safety}: its filters take", found, config.task, sizes)
+    filters = [safety.for_actions(actions, config.task) for safety in filters]
     finetune = config.finetune
     if finetune is None:
         finetune = isinstance(pretrained.method, RrlSettings | RrlMsdpSettings)
@@ -54,7 +58,8 @@ def build_gate(config: TrainConfig, sizes: Sizes) -> Gate:
         torch.device("cpu"),
     )
     scaling = Scaling([safety.normalisation for safety in filters])
-    return FinetunedGate(learner, thresholds, scaling, filters[0].gamma_safe, offline)
+    ranges = [Ranges(safety.actions, safety.observations) for safety in filters]
+    return FinetunedGate(learner, thresholds, scaling, ranges, filters[0].gamma_safe, offline)
 
 
 def _filters(

@@ -28,6 +28,7 @@ from tqdm import tqdm
 
 from deep.checkpoint import load_checkpoint, save_checkpoint
 from deep.folder import CsvLog, InterruptAfterUpdate
+from deep.normalise import with_action_bounds
 from deep.online.config import (
     TrainConfig,
     build_task_learner,
@@ -117,7 +118,11 @@ class _Run:
         self.fleet = Fleet(config.task, config.seeds, config.copies)
         sizes = Sizes(self.fleet.observation_dim, self.fleet.action_dim)
         self.learner = build_task_learner(config, sizes)
-        self.gate = build_gate(config, sizes)
+        # Actions are kept in the environment's units; the learner's fill [-1, 1].
+        self.bounds = self.fleet.action_bounds
+        identity = with_action_bounds(Normalisation.identity(*sizes), self.bounds)
+        self.units = Scaling([identity] * len(config.seeds))
+        self.gate = build_gate(config, sizes, self.bounds)
         self.scaling: Scaling | None = None  # of the task policy; known after the start phase
         learners: list[TaskLearner | Learner] = [self.learner]
         if isinstance(self.gate, FinetunedGate):
@@ -178,7 +183,7 @@ class _Run:
         config = self.config
         noise, uniform = self.actions.draw(self.step)
         begun = self.step * config.copies < config.start_steps
-        action = uniform if begun else self._propose(noise)
+        action = self._start(uniform) if begun else self._propose(noise)
         executed, intervened = self.gate.correct(self.observation, action)
         arrived = self.fleet.step(executed)
         self.replay.add(
@@ -193,7 +198,8 @@ class _Run:
         self.step += 1
         steps = self.step * config.copies
         if self.scaling is None and steps >= config.start_steps:
-            self.scaling = Scaling(self.replay.normalisation(self.step))
+            seen = self.replay.normalisation(self.step)
+            self.scaling = Scaling([with_action_bounds(n, self.bounds) for n in seen])
             self.learner.look(partial(self.replay.normalisation, self.step))
         due = max(0, steps - config.start_steps) // config.steps_per_update
         losses = None
@@ -201,16 +207,19 @@ class _Run:
             losses = self._update()
         return losses
 
+    def _start(self, uniform: NDArray[np.float32]) -> NDArray[np.float32]:
+        return self.units.raw_action(torch.from_numpy(uniform)).numpy()
+
     def _propose(self, noise: NDArray[np.float32]) -> NDArray[np.float32]:
         with torch.no_grad():
             action = self._act(torch.from_numpy(self.observation), torch.from_numpy(noise))
         return action.numpy()
 
     def _act(self, observation: Tensor, noise: Tensor) -> Tensor:
-        """The task policy's actions in raw observations (K, B, o)."""
+        """The task policy's actions, in the environment's units, in raw observations (K, B, o)."""
         assert self.scaling is not None
         action, _ = self.learner.policy.sample(self.scaling.observation(observation), noise)
-        return action
+        return self.scaling.raw_action(action)
 
     def _update(self) -> TaskLosses:
         assert self.scaling is not None
@@ -221,6 +230,8 @@ class _Run:
             raw._replace(
                 observation=self.scaling.observation(raw.observation),
                 next_observation=self.scaling.observation(raw.next_observation),
+                action=self.scaling.action(raw.action),
+                executed=self.scaling.action(raw.executed),
             )
         )
         self.gate.learn(self.updates, raw, self._act)
@@ -293,6 +304,7 @@ class _Run:
             "counts": self.counts.to_json(),
             "normalisation": self.scaling and [asdict(n) for n in self.scaling.normalisation],
             "environments": self.fleet.snapshot(),
+            "actions": asdict(self.bounds),
         }
         path = self.folder / "checkpoint.safetensors"
         self.replay.flush()
@@ -301,6 +313,11 @@ class _Run:
     def _resume(self, checkpoint: Path) -> NDArray[np.float32]:
         self.updates, text = load_checkpoint(self.state, checkpoint)
         rest = json.loads(text)
+        if rest.get("actions") != json.loads(json.dumps(asdict(self.bounds))):
+            raise ValueError(
+                f"{checkpoint}: its actions are not in the environment's units, within "
+                f"{self.bounds}: another version or environment made it; begin in a new folder"
+            )
         self.step = rest["step"]
         self.counts = Counts.from_json(rest["counts"])
         if rest["normalisation"]:

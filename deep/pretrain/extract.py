@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from deep.normalise import Ranges
 from deep.pretrain.learner import Learner
 from deep.safety_filter import Normalisation, SafetyFilter
 
@@ -13,9 +14,16 @@ __all__ = ["extract_filter"]
 
 
 def extract_filter(
-    learner: Learner, seed: int, threshold: float, gamma_safe: float, normalisation: Normalisation
+    learner: Learner,
+    seed: int,
+    threshold: float,
+    gamma_safe: float,
+    normalisation: Normalisation,
+    ranges: Ranges,
 ) -> SafetyFilter:
     """The critic and the recovery policy that ``seed`` has learned, behind a threshold.
+
+    ``normalisation`` and ``ranges`` are those of the data that it learned from.
 
     Raises:
         ValueError: if the seed is not one of the learner's.
@@ -36,6 +44,8 @@ def extract_filter(
         ),
         threshold=threshold,
         normalisation=normalisation,
+        actions=ranges.actions,
+        observations=ranges.observations,
         reach=policy.reach,
         gamma_safe=gamma_safe,
         method=learner.name,

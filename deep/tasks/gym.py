@@ -50,8 +50,7 @@ class GymVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self.num_envs = num_envs
         self._copies = [_make(name) for _ in range(num_envs)]
         self.single_observation_space = _observation_space(name, self._copies[0])
-        self._low, self._high = _action_range(name, self._copies[0])
-        self.single_action_space = spaces.Box(-1.0, 1.0, self._low.shape, np.float32)
+        self.single_action_space = self._actions = _action_space(name, self._copies[0])
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._began = False
@@ -77,8 +76,8 @@ class GymVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         """One step of every copy; finished ones begin their next episode."""
         if not self._began:
             raise ValueError(f"{self.name}: call reset() before step()")
-        stretched = self._stretched(np.asarray(actions, dtype=np.float64))
-        rows = [copy.step(action) for copy, action in zip(self._copies, stretched, strict=True)]
+        bounded = self._bounded(actions)
+        rows = [copy.step(action) for copy, action in zip(self._copies, bounded, strict=True)]
         steps, rewards, ends, cuts, infos = zip(*rows, strict=True)
         observations = np.array(steps, dtype=np.float32)
         violation = np.array([info.get("cost", 0) > 0 for info in infos], dtype=np.bool_)
@@ -94,11 +93,10 @@ class GymVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
                 observations[index] = self._copies[index].reset()[0]
         return observations, np.array(rewards, dtype=np.float64), terminated, truncated, info
 
-    def _stretched(self, actions: Floats) -> NDArray[Any]:
-        """From [-1, 1] to the environment's range, whose ends rounding must not pass."""
-        share = (actions.clip(-1, 1) + 1) / 2
-        stretched = (1 - share) * self._low + share * self._high
-        return np.asarray(stretched.clip(self._low, self._high), dtype=self._low.dtype)
+    def _bounded(self, actions: NDArray[np.floating]) -> NDArray[Any]:
+        """In the type of the environment's actions, whose ends rounding must not pass."""
+        space = self._actions
+        return np.asarray(np.asarray(actions, dtype=space.dtype).clip(space.low, space.high))
 
     def close_extras(self, **kwargs: Any) -> None:  # noqa: ARG002  (Gymnasium's signature)
         """Close the copies."""
@@ -121,8 +119,8 @@ def _observation_space(name: str, env: Env) -> Space:
     return spaces.Box(space.low.astype(np.float32), space.high.astype(np.float32), dtype=np.float32)
 
 
-def _action_range(name: str, env: Env) -> tuple[NDArray[Any], NDArray[Any]]:
+def _action_space(name: str, env: Env) -> spaces.Box:
     space = env.action_space
     if not isinstance(space, spaces.Box) or len(space.shape) != 1 or not space.is_bounded():
         raise ValueError(f"{name}: actions must be vectors within finite bounds (Box), not {space}")
-    return space.low, space.high
+    return space

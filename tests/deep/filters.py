@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deep.safety_filter import Normalisation, SafetyFilter
+from deep.safety_filter import Bounds, Normalisation, SafetyFilter
 
 
 def linear_filter(
@@ -15,18 +15,27 @@ def linear_filter(
     *,
     threshold: float = 0.5,
     normalisation: Normalisation | None = None,
+    actions: Bounds | None = None,
+    observations: Bounds | None = None,
     reach: float = 1.0,
 ) -> SafetyFilter:
-    """Q = sigmoid(w . s + u a + b); the recovery action is reach tanh(recovery_bias)."""
+    """Q = sigmoid(w . s + u a + b); the recovery action is reach tanh(recovery_bias).
+
+    Actions lie where the normalisation has them, observations in [-1000, 1000].
+    """
     weights = np.array([*observation_weights, action_weight], dtype=np.float32)
     o = len(observation_weights)
+    units = normalisation or Normalisation.identity(o, 1)
+    centre, scale = np.array(units.action_centre), np.array(units.action_scale)
     return SafetyFilter(
         critic=((weights[None, :, None], np.full((1, 1, 1), bias, dtype=np.float32)),),
         recovery=(
             (np.zeros((o, 2), dtype=np.float32), np.array([recovery_bias, 0], dtype=np.float32)),
         ),
         threshold=threshold,
-        normalisation=normalisation or Normalisation.identity(o, 1),
+        normalisation=units,
+        actions=actions or Bounds.of(centre - scale, centre + scale),
+        observations=observations or Bounds((-1000.0,) * o, (1000.0,) * o),
         reach=reach,
         gamma_safe=0.9,
         method="by hand",
@@ -35,7 +44,10 @@ def linear_filter(
 
 
 def random_filter(seed: int = 0, members: int = 3, hidden: int = 16) -> SafetyFilter:
-    """A filter for 3 observations and 2 actions with random weights and units."""
+    """A filter for 3 observations and 2 actions with random weights and units.
+
+    Actions lie in [3, 7] and [-1, 1], observations within 5 of 0.
+    """
     rng = np.random.default_rng(seed)
 
     def layer(*shape: int) -> np.ndarray:
@@ -50,6 +62,8 @@ def random_filter(seed: int = 0, members: int = 3, hidden: int = 16) -> SafetyFi
         recovery=((layer(3, hidden), layer(hidden)), (layer(hidden, 4), layer(4))),
         threshold=0.4,
         normalisation=Normalisation((1.0, -2.0, 0.0), (3.0, 0.5, 1.0), (5.0, 0.0), (2.0, 1.0)),
+        actions=Bounds((3.0, -1.0), (7.0, 1.0)),
+        observations=Bounds((-5.0,) * 3, (5.0,) * 3),
         reach=1.1,
         gamma_safe=0.9,
         method="random",

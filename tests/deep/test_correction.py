@@ -18,10 +18,11 @@ from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from deep.correction import BehaviorCorrection, BehaviorCorrectionVector
+from deep.normalise import Ranges
 from deep.onnx_export import export_onnx
 from deep.pretrain import DeaRrlAnnealed, DeaRrlAnnealedSettings, Sizes
 from deep.pretrain.extract import extract_filter
-from deep.safety_filter import Normalisation, SafetyFilter
+from deep.safety_filter import Bounds, Normalisation, SafetyFilter
 from deep.tasks import Brake, TaskEnv, TaskVectorEnv
 
 
@@ -61,6 +62,7 @@ def test_an_action_that_is_no_number_is_replaced() -> None:
     correction = safety.correct(np.zeros((1, 2)), np.array([[np.nan]]))
     assert correction.intervened.tolist() == [True]
     assert correction.executed[0, 0] == -1
+    assert correction.critic.tolist() == [1.0]
 
 
 def test_units_enter_through_the_normalisation() -> None:
@@ -78,19 +80,21 @@ def test_the_filter_of_a_learner_computes_what_the_learner_does() -> None:
     import torch
 
     learner = DeaRrlAnnealed(DeaRrlAnnealedSettings(), Sizes(2, 1), (3, 4))
-    safety = extract_filter(learner, 4, 0.5, 0.75, Normalisation.identity(2, 1))
+    ranges = Ranges(actions=Bounds((-1.0,), (0.5,)), observations=Bounds.unit(2))
+    safety = extract_filter(learner, 4, 0.5, 0.75, Normalisation.identity(2, 1), ranges)
     observations = np.random.default_rng(0).uniform(-1, 1, (40, 2)).astype(np.float32)
     actions = np.random.default_rng(1).uniform(-1, 1, (40, 1)).astype(np.float32)
+    assert (safety.actions, safety.observations) == ranges
     with torch.no_grad():
         s, a = (torch.from_numpy(x).expand(2, -1, -1) for x in (observations, actions))
         assert safety.q(observations, actions) == pytest.approx(
             learner.critic.worst(s, a)[1].numpy(), abs=1e-6
         )
         assert safety.recovery_action(observations) == pytest.approx(
-            learner.recovery.mean_action(s)[1].numpy(), abs=1e-6
+            learner.recovery.mean_action(s)[1].numpy().clip(-1, 0.5), abs=1e-6
         )
     with pytest.raises(ValueError, match=r"seed 5 was not trained; there are \[3, 4\]"):
-        extract_filter(learner, 5, 0.5, 0.75, Normalisation.identity(2, 1))
+        extract_filter(learner, 5, 0.5, 0.75, Normalisation.identity(2, 1), ranges)
 
 
 def test_the_wrapper_executes_the_correction_and_reports_it() -> None:
@@ -147,7 +151,8 @@ def test_save_and_load(tmp_path: Path) -> None:
     assert np.array_equal(
         loaded.recovery_action(observations), safety.recovery_action(observations)
     )
-    for name in ("threshold", "normalisation", "reach", "gamma_safe", "method", "seed"):
+    names = ("threshold", "normalisation", "actions", "observations", "reach", "gamma_safe")
+    for name in (*names, "method", "seed"):
         assert getattr(loaded, name) == getattr(safety, name)
 
 
@@ -159,10 +164,10 @@ def test_broken_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="not a safetensors file"):
         SafetyFilter.load(path)
     save_file({"x": np.zeros(1)}, path)
-    with pytest.raises(ValueError, match="not a .dead-ends safety filter 1. file"):
+    with pytest.raises(ValueError, match="not a .dead-ends safety filter 2. file"):
         SafetyFilter.load(path)
-    save_file({"x": np.zeros(1)}, path, {"networks": '{"format": "dead-ends safety filter 1"}'})
-    with pytest.raises(ValueError, match="the safety filter lacks 'normalisation'"):
+    save_file({"x": np.zeros(1)}, path, {"networks": '{"format": "dead-ends safety filter 2"}'})
+    with pytest.raises(ValueError, match="the safety filter lacks 'actions'"):
         SafetyFilter.load(path)
 
 
@@ -171,7 +176,11 @@ def test_filters_that_make_no_sense_are_refused() -> None:
     with pytest.raises(ValueError, match=r"threshold must lie in \(0, 1\], not 0"):
         safety.with_threshold(0.0)
     with pytest.raises(ValueError, match=r"maps R\^2 to R\^1, expected R\^3 to R\^1"):
-        filters.linear_filter([1.0], 1.0, 0.0, 0.0, normalisation=Normalisation.identity(2, 1))
+        replace(
+            filters.linear_filter([1.0], 1.0, 0.0, 0.0),
+            normalisation=Normalisation.identity(2, 1),
+            observations=Bounds.unit(2),
+        )
     with pytest.raises(ValueError, match="hold a NaN"):
         filters.linear_filter([np.nan], 1.0, 0.0, 0.0)
     with pytest.raises(ValueError, match="1 centres for 2 scales"):

@@ -20,7 +20,7 @@ from benchmarks.critic_views import (
     at_full_speed,
     braking_distance,
 )
-from deep.safety_filter import Normalisation, SafetyFilter
+from deep.safety_filter import Bounds, Normalisation, SafetyFilter
 from deep.tasks import PointGoal1
 from deep.tasks.task import Bools, Floats
 
@@ -45,6 +45,8 @@ def _filter(bias: float) -> SafetyFilter:
         recovery=((np.zeros((o, 4), dtype=np.float32), np.zeros(4, dtype=np.float32)),),
         threshold=0.5,
         normalisation=Normalisation.identity(o, 2),
+        actions=Bounds.unit(2),
+        observations=Bounds.unit(o),
         reach=1.0,
         gamma_safe=0.99,
         method="by hand",

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from deep.batches import Batch, Batches
+from deep.normalise import Ranges
 from deep.online.config import TrainConfig
 from deep.online.gate import FinetunedGate, FrozenGate, OpenGate
 from deep.online.learner import TaskBatch
@@ -28,16 +29,18 @@ from deep.pretrain import (
 )
 from deep.pretrain.learner import Losses, Sizes
 from deep.run import load_raw, read_run
-from deep.safety_filter import Normalisation, SafetyFilter
+from deep.safety_filter import Bounds, Normalisation, SafetyFilter
 from tests.deep.online_runs import SEEDS, TINY, blocking_filter, braking_filter, hand_made
 from tests.deep.online_runs import pretrained as short_pretraining
 
 SIZES = Sizes(2, 1)
+BOUNDS = Bounds.unit(1)
 NETS = {"hidden": (8,), "batch_size": 16}
 UNITS = (
     Normalisation((0.5, -1.0), (2.0, 0.5), (0.2,), (0.5,)),
     Normalisation((0.0, 1.0), (1.0, 3.0), (-0.1,), (2.0,)),
 )
+RANGES = (Ranges(BOUNDS, Bounds.unit(2)),) * 2
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +86,7 @@ def state(gate: FinetunedGate) -> dict[str, Tensor]:
 
 
 def finetuned(folder: Path, config: TrainConfig = TINY) -> FinetunedGate:
-    gate = build_gate(replace(config, safety=folder), SIZES)
+    gate = build_gate(replace(config, safety=folder), SIZES, BOUNDS)
     assert isinstance(gate, FinetunedGate)
     return gate
 
@@ -96,7 +99,7 @@ def rescaled(folder: Path) -> FinetunedGate:
     data, _ = load_raw(read_run(folder))
     offline = Batches(data, SEEDS, 8, 0.5, torch.device("cpu"))
     limits = [float(np.median(part)) for part in q]
-    return FinetunedGate(trained.learner, limits, Scaling(UNITS), 0.9, offline)
+    return FinetunedGate(trained.learner, limits, Scaling(UNITS), RANGES, 0.9, offline)
 
 
 def test_an_open_gate_lets_everything_through() -> None:
@@ -108,7 +111,7 @@ def test_an_open_gate_lets_everything_through() -> None:
     assert not gated.intervened.any()
     gate.learn(0, batch(), task_policy(SEEDS))
     assert gate.filters() == ()
-    assert type(build_gate(TINY, SIZES)) is OpenGate
+    assert type(build_gate(TINY, SIZES, BOUNDS)) is OpenGate
 
 
 def test_frozen_filters_correct_each_its_own_seed() -> None:
@@ -146,7 +149,7 @@ def test_a_critic_that_is_no_number_or_at_the_threshold_lets_nothing_through(rrl
     with torch.no_grad():
         for parameter in gate.learner.critic.parameters():
             parameter.zero_()  # Q = 1/2 everywhere
-    at = FinetunedGate(gate.learner, (0.5, 0.50001), Scaling(UNITS), 0.9, gate._offline)
+    at = FinetunedGate(gate.learner, (0.5, 0.50001), Scaling(UNITS), RANGES, 0.9, gate._offline)
     assert at.correct(s, a).intervened.mean(axis=1).tolist() == [1, 0]
     with torch.no_grad():
         gate.learner.critic.mlp.biases[-1][0] = torch.nan
@@ -229,15 +232,18 @@ def test_the_gates_of_a_pretraining_run_begin_with_what_it_learned(
     rrl: Path, dea_rrl: Path
 ) -> None:
     for folder, kind in ((rrl, FinetunedGate), (dea_rrl, FrozenGate)):
-        gate = build_gate(replace(TINY, safety=folder), SIZES)
+        gate = build_gate(replace(TINY, safety=folder), SIZES, BOUNDS)
         assert type(gate) is kind
         for k, seed in enumerate(SEEDS):
             path = folder / "filters" / f"seed{seed}.safetensors"
             gate.filters()[k].save(folder / "again.safetensors")
             assert (folder / "again.safetensors").read_bytes() == path.read_bytes()
-    frozen = build_gate(replace(TINY, safety=rrl, finetune=False), SIZES)
+    frozen = build_gate(replace(TINY, safety=rrl, finetune=False), SIZES, BOUNDS)
     assert type(frozen) is FrozenGate
-    assert type(build_gate(replace(TINY, safety=dea_rrl, finetune=True), SIZES)) is FinetunedGate
+    assert (
+        type(build_gate(replace(TINY, safety=dea_rrl, finetune=True), SIZES, BOUNDS))
+        is FinetunedGate
+    )
 
 
 def test_seeds_can_use_other_seeds_filters_and_thresholds(rrl: Path) -> None:
@@ -246,7 +252,7 @@ def test_seeds_can_use_other_seeds_filters_and_thresholds(rrl: Path) -> None:
     )
     stored = {s: SafetyFilter.load(rrl / "filters" / f"seed{s}.safetensors") for s in SEEDS}
     for finetune in (True, False):
-        gate = build_gate(replace(config, finetune=finetune), SIZES)
+        gate = build_gate(replace(config, finetune=finetune), SIZES, BOUNDS)
         assert [f.threshold for f in gate.filters()] == [0.1, 0.2, 0.3]
         for found, seed in zip(gate.filters(), (3, 0, 3), strict=True):
             for (w, b), (v, c) in zip(found.critic, stored[seed].critic, strict=True):
@@ -289,32 +295,32 @@ def test_a_loss_that_is_no_number_stops_the_finetuning(
 
 def test_pretraining_that_does_not_fit_is_refused(rrl: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no: there is no run here"):
-        build_gate(replace(TINY, safety=tmp_path / "no"), SIZES)
+        build_gate(replace(TINY, safety=tmp_path / "no"), SIZES, BOUNDS)
     message = "rrl.*: seed 5 was not pretrained; there are 0, 3$"
     with pytest.raises(ValueError, match=message):
-        build_gate(replace(TINY, safety=rrl, seeds=(3, 5)), SIZES)
+        build_gate(replace(TINY, safety=rrl, seeds=(3, 5)), SIZES, BOUNDS)
     with pytest.raises(ValueError, match=message):
-        build_gate(replace(TINY, safety=rrl, safety_seeds=(3, 5)), SIZES)
+        build_gate(replace(TINY, safety=rrl, safety_seeds=(3, 5)), SIZES, BOUNDS)
     message = r"its filters take observations in R\^2 and actions in R\^1, brake has R\^3 and R\^1$"
     with pytest.raises(ValueError, match=message):
-        build_gate(replace(TINY, safety=rrl), Sizes(3, 1))
+        build_gate(replace(TINY, safety=rrl), Sizes(3, 1), BOUNDS)
     with pytest.raises(ValueError, match=r"brake has R\^2 and R\^2$"):
-        build_gate(replace(TINY, safety=rrl), Sizes(2, 2))
+        build_gate(replace(TINY, safety=rrl), Sizes(2, 2), Bounds.unit(2))
     with pytest.raises(ValueError, match=r"^threshold must lie in \(0, 1\], not 2.0$"):
-        build_gate(replace(TINY, safety=rrl, threshold=(2.0,)), SIZES)
+        build_gate(replace(TINY, safety=rrl, threshold=(2.0,)), SIZES, BOUNDS)
     unfinished = hand_made(tmp_path / "unfinished", {0: braking_filter(), 3: braking_filter()})
     (unfinished / "filters" / "seed3.safetensors").unlink()
     message = (
         r"unfinished: not a finished pretraining run of seed 3 \(no filters/seed3.safetensors\)$"
     )
     with pytest.raises(ValueError, match=message):
-        build_gate(replace(TINY, safety=unfinished), SIZES)
+        build_gate(replace(TINY, safety=unfinished), SIZES, BOUNDS)
     (rrl / "checkpoint.safetensors").rename(tmp_path / "moved")
     try:
         with pytest.raises(ValueError, match="checkpoint.safetensors: there is no such file$"):
-            build_gate(replace(TINY, safety=rrl), SIZES)
+            build_gate(replace(TINY, safety=rrl), SIZES, BOUNDS)
     finally:
         (tmp_path / "moved").rename(rrl / "checkpoint.safetensors")
     (unfinished / "config.json").write_text(json.dumps({"run": {"method": 3}}))
     with pytest.raises(ValueError, match="config.json: not a pretraining run "):
-        build_gate(replace(TINY, safety=unfinished), SIZES)
+        build_gate(replace(TINY, safety=unfinished), SIZES, BOUNDS)

@@ -32,11 +32,11 @@ from deep.pretrain import (
     Sizes,
     build_learner,
 )
-from deep.pretrain.health import Status, check_critics, check_losses
+from deep.pretrain.health import Fault, check_losses, read_health
 from deep.pretrain.learner import Losses
 from deep.run import DATA_STREAM, pretrain, read_run
-from deep.safety_filter import Normalisation, SafetyFilter
-from deep.tasks import Brake, make_task
+from deep.safety_filter import Bounds, Normalisation, SafetyFilter
+from deep.tasks import make_task
 from deep.thresholds import discount_from_horizon, low_threshold, paper_threshold
 
 SMALL = {"hidden": (8,), "batch_size": 16}
@@ -76,6 +76,9 @@ def test_a_run_leaves_everything_that_is_needed(tmp_path: Path) -> None:
     loaded = SafetyFilter.load(tmp_path / "run" / "filters" / "seed3.safetensors")
     assert loaded.threshold == result.filters[1].threshold == 0.75**3 / 4
     assert [health.seed for health in result.health] == [0, 3]
+    assert read_health(tmp_path / "run") == result.health
+    assert loaded.actions == Bounds.unit(1)
+    assert loaded.observations == result.filters[1].observations
 
 
 def test_a_finished_run_is_not_trained_again(tmp_path: Path) -> None:
@@ -200,24 +203,8 @@ def test_broken_checkpoints_are_refused(tmp_path: Path) -> None:
         load_checkpoint(learner, path)
 
 
-def test_diverged_and_saturated_critics_are_reported() -> None:
-    from deep.collect import collect, random_policy
-
-    data = collect(Brake(), random_policy(Brake()), np.random.default_rng(0), 300)
+def test_a_loss_that_is_no_number_names_its_seed() -> None:
     learner = build_learner(DeaRrlAnnealedSettings(), Sizes(2, 1), (0, 1, 2, 3))
-    with torch.no_grad():
-        for k, bias in ((1, -50.0), (2, 50.0), (3, torch.nan)):
-            learner.critic.mlp.biases[-1][3 * k : 3 * k + 3] = bias
-    health = check_critics(
-        learner, Batches([data], learner.seeds, 64, None, torch.device("cpu")).get(0)
-    )
-    assert [h.status for h in health] == [
-        Status.SOUND,
-        Status.ALL_ZERO,
-        Status.ALL_ONE,
-        Status.DIVERGED,
-    ]
-    assert str(health[1]).startswith("seed 1: saturated: it calls everything safe (Q from ")
     losses = Losses(torch.zeros(4), torch.tensor([0.0, torch.inf, 0, 0]), torch.zeros(4))
     with pytest.raises(FloatingPointError, match="update 7: the value loss of seed 1 is inf"):
         check_losses(learner, losses, 7)
@@ -505,18 +492,21 @@ def test_pretraining_from_the_command_line(
     arguments[arguments.index("600")] = "20"
     assert main(arguments) == 0
     printed = capsys.readouterr().out
-    assert "seed0.safetensors: seed 0: sound" in printed
+    (health, _) = read_health(tmp_path / "run")
+    assert f"seed0.safetensors: {health}\n" in printed
+    assert str(health).startswith("seed 0: at epsilon 0.105 it blocks 100.0% of 400 logged actions")
     assert SafetyFilter.load(tmp_path / "run" / "filters" / "seed0.safetensors").seed == 0
 
 
-def test_a_critic_of_no_use_is_a_finished_run_with_a_warning(
+def test_a_filter_of_no_use_is_a_finished_run_with_a_warning(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "run"
     arguments = ["pretrain", "--out", str(folder), *COMMAND[4:]]
     arguments[arguments.index("600")] = "20"
     assert main(arguments) == 0
-    assert "warning" not in capsys.readouterr().err
+    assert "deep: warning: 2 of 2 filters are of no use (seeds: 0, 3)\n" in capsys.readouterr().err
+    assert [health.fault for health in read_health(folder)] == [Fault.BLOCKS_ALL] * 2
     config = read_run(folder)
     learner = build_learner(config.method, Sizes(2, 1), config.seeds)
     load_checkpoint(learner, folder / "checkpoint.safetensors")
@@ -526,11 +516,39 @@ def test_a_critic_of_no_use_is_a_finished_run_with_a_warning(
     before = filter_bytes(folder)
     assert main(arguments) == 0  # as `grid` expects of a job that left its result
     said = capsys.readouterr()
-    assert "seed3.safetensors: seed 3: saturated: it calls everything safe (Q from" in said.out
-    assert said.err.endswith("\ndeep: warning: 1 of 2 critics are of no use (seeds: 3)\n")
+    assert "seed3.safetensors: seed 3: at epsilon 0.105 it blocks 0.0% of 400" in said.out
+    assert f"; warning: of no use, {Fault.BLOCKS_NONE}\n" in said.out
+    found = [health.fault for health in read_health(folder)]
+    assert found == [Fault.BLOCKS_ALL, Fault.BLOCKS_NONE]
     after = filter_bytes(folder)
     assert after[0] == before[0]
     assert after[1] != before[1]
+
+
+def test_a_file_can_be_given_the_environments_action_bounds(tmp_path: Path) -> None:
+    data = tmp_path / "data.hdf5"
+    write_hdf5(transitions(np.random.default_rng(0).normal(size=(60, 2))), data)
+    seen = replace(TINY, task=None, data=data, horizon=3, updates=1)
+    (safety, _) = pretrain(seen, tmp_path / "seen", quiet=True).filters
+    assert safety.actions == Bounds.unit(1)
+    stated = replace(seen, action_low=(-4.0,), action_high=(1.0,))
+    (safety, _) = pretrain(stated, tmp_path / "stated", quiet=True).filters
+    assert safety.actions == Bounds((-4.0,), (1.0,))
+    assert read_run(tmp_path / "stated").action_bounds == safety.actions
+    narrow = replace(seen, action_low=(0.0,), action_high=(1.0,))
+    with pytest.raises(
+        ValueError, match=r"data.hdf5: actions: row 0 is \[-1.0\], outside of their"
+    ):
+        pretrain(narrow, tmp_path / "narrow", quiet=True)
+    assert not (tmp_path / "narrow").exists()
+    for bounds, message in (
+        ({"action_low": (0.0,)}, "give both action_low and action_high, or neither"),
+        ({"action_low": (1.0,), "action_high": (0.0,)}, "bounds must not cross"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            replace(seen, **bounds)
+    with pytest.raises(ValueError, match="go with a data file"):
+        replace(TINY, action_low=(-1.0,), action_high=(1.0,))
 
 
 def test_closenesses_are_sharpened_before_they_are_normalised(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.stand_off import COPIES, STEPS, watched
-from deep.safety_filter import Normalisation, SafetyFilter
+from deep.safety_filter import Bounds, Normalisation, SafetyFilter
 from deep.task_policy import TrainedPolicy
 from deep.tasks import PointGoal1
 from deep.tasks.task import Floats
@@ -38,6 +38,8 @@ def thrust_is_danger() -> SafetyFilter:
         recovery=((np.zeros((o, 4), dtype=np.float32), recovery),),
         threshold=0.5,
         normalisation=Normalisation.identity(o, 2),
+        actions=Bounds.unit(2),
+        observations=Bounds.unit(o),
         reach=1.0,
         gamma_safe=0.99,
         method="by hand",

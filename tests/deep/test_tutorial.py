@@ -23,3 +23,4 @@ def test_the_tutorial_protects_the_lift(tmp_path: Path, monkeypatch: pytest.Monk
     assert names["crashes"](names["Lift"](), 50) >= 45
     assert names["crashes"](names["protected"], 50) == 0
     assert names["protected"].interventions > 0
+    assert names["result"].health[0].fault is None
