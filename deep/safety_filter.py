@@ -310,11 +310,17 @@ class SafetyFilter:
         1 where an observation or an action is not finite, or the networks overflow.
         """
         with np.errstate(over="ignore", invalid="ignore"):
-            seen = self.normalisation.powered(observations)
-            x = np.concatenate([seen, actions], axis=1, dtype=np.float32, casting="same_kind")
-            logits = forward(self._raw_critic, x)[:, :, 0].max(axis=0)
-        known = _finite(observations) & np.isfinite(x).all(axis=1) & ~np.isnan(logits)
-        return np.where(known, _sigmoid(logits), np.float32(1))
+            seen, proposed = _single(observations), _single(actions)
+            critic = self._judged(seen, proposed)
+        critic[~(_finite(seen) & _finite(proposed))] = 1
+        return critic
+
+    def _judged(self, seen: Floats, proposed: Floats) -> Floats:
+        """Q_c for finite observations and actions."""
+        x = np.concatenate([self.normalisation.powered(seen), proposed], axis=1)
+        critic = _sigmoid(forward(self._raw_critic, x)[:, :, 0].max(axis=0))
+        critic[np.isnan(critic)] = 1
+        return critic
 
     def recovery_action(self, observations: NDArray[Any]) -> Floats:
         """float32 (n, a): the mean of pi_rec, in the environment's units and within bounds.
@@ -323,14 +329,17 @@ class SafetyFilter:
         networks overflow, the action is the middle of the policy's range.
         """
         with np.errstate(over="ignore", invalid="ignore"):
-            seen = self.normalisation.powered(observations)
-            known = np.isfinite(seen) & np.isfinite(observations)
-            seen = np.where(known, seen, self._observation_centre)
-            mean = forward(self._raw_recovery, seen)[:, : self.action_dim]
-        reached = np.where(np.isnan(mean), 0, self.reach * np.tanh(mean))
-        action = np.minimum(np.maximum(reached, -1), 1) * self._action_scale + self._action_centre
-        low, high = self._action_ends
-        return np.asarray(np.minimum(np.maximum(action, low), high), dtype=np.float32)
+            return self._recovered(_single(observations))
+
+    def _recovered(self, observations: Floats) -> Floats:
+        seen = self.normalisation.powered(observations)
+        lost = ~(np.isfinite(seen) & np.isfinite(observations))
+        if lost.any():
+            seen = np.where(lost, self._observation_centre, seen)
+        unit = self.reach * np.tanh(forward(self._raw_recovery, seen)[:, : self.action_dim])
+        unit[np.isnan(unit)] = 0
+        action = _within(unit, -1, 1) * self._action_scale + self._action_centre
+        return np.asarray(_within(action, *self._action_ends), dtype=np.float32)
 
     def correct(self, observations: NDArray[Any], actions: NDArray[Any]) -> Correction:
         """Equation (behavior_correction) for n observations and actions.
@@ -338,17 +347,22 @@ class SafetyFilter:
         Actions are first moved to the nearest bound. One at or above the threshold is
         replaced; so is one that cannot be judged, see the head of this module.
         """
-        low, high = self._action_ends
-        with np.errstate(over="ignore"):
-            seen = np.asarray(observations, dtype=np.float32)
-            proposed = np.asarray(actions, dtype=np.float32)
-        not_finite = ~(_finite(seen) & _finite(proposed))
-        executed = np.minimum(np.maximum(proposed, low), high)
-        critic = np.where(not_finite, np.float32(1), self.q(seen, executed))
-        intervened = ~(critic < self.threshold)
-        if intervened.any():
-            executed = np.where(intervened[:, None], self.recovery_action(seen), executed)
-        return Correction(executed, intervened, critic, self.out_of_range(seen), not_finite)
+        with np.errstate(over="ignore", invalid="ignore"):
+            seen, proposed = _single(observations), _single(actions)
+            low, high = self._near
+            near = (seen >= low) & (seen <= high)  # and finite
+            executed = _within(proposed, *self._action_ends)
+            critic = self._judged(seen, executed)
+            if near.all() and (executed == proposed).all():  # nearly always
+                out_of_range = not_finite = np.zeros(len(seen), dtype=np.bool_)
+            else:
+                out_of_range = self.out_of_range(seen)
+                not_finite = ~(_finite(seen) & _finite(proposed))
+                critic[not_finite] = 1
+            intervened = ~(critic < self.threshold)
+            if intervened.any():
+                executed = np.where(intervened[:, None], self._recovered(seen), executed)
+        return Correction(executed, intervened, critic, out_of_range, not_finite)
 
     def out_of_range(self, observations: NDArray[Any]) -> Bools:
         """bool (n,): observations (n, o) that lie far outside of the training data.
@@ -484,6 +498,15 @@ def inner_ends(bounds: Bounds) -> tuple[Floats, Floats]:
         np.where(least < low, np.nextafter(least, up), least),
         np.where(most > high, np.nextafter(most, down), most),
     )
+
+
+def _single(rows: NDArray[Any]) -> Floats:
+    """In single precision; what is too large for it becomes infinite."""
+    return np.asarray(rows, dtype=np.float32)
+
+
+def _within(x: NDArray[Any], low: Floats | float, high: Floats | float) -> Floats:
+    return np.asarray(np.minimum(np.maximum(x, low), high))
 
 
 def _finite(rows: NDArray[Any]) -> Bools:

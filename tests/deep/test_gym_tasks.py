@@ -15,12 +15,21 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 import deep.online.train
+from deep.config import PretrainConfig
+from deep.correction import BehaviorCorrection
+from deep.formats import read_hdf5, write_hdf5
 from deep.online.config import TrainConfig
 from deep.online.episodes import run_episodes
 from deep.online.fleet import Fleet, evaluation_copies, make_vector_env
+from deep.online.offline_data import offline_data
+from deep.online.plug import evaluate_policies
 from deep.online.replay import Replay
 from deep.online.sac import SacSettings
 from deep.online.train import train
+from deep.pretrain import DeaRrlAnnealedSettings, RrlSettings
+from deep.run import pretrain
+from deep.safety_filter import Bounds
+from deep.task_policy import TrainedPolicy
 from deep.tasks.gym import GymVectorEnv
 from tests.deep.online_runs import table
 
@@ -70,6 +79,31 @@ class Counter(gymnasium.Env[NDArray[Any], NDArray[Any]]):
         return np.full(1, float(self.steps)), float(self.steps), False, False, cost
 
 
+class Rail(gymnasium.Env[NDArray[Any], NDArray[Any]]):
+    """A cart between two ends, moved by a force in newtons within odd bounds."""
+
+    def __init__(self, low: float = -30.0, high: float = 30.0, unit: float = 0.01) -> None:
+        self.observation_space = spaces.Box(-2.0, 2.0, (1,), np.float32)
+        self.action_space = spaces.Box(low, high, (1,), np.float64)
+        self.unit = unit
+        self.forces: list[float] = []
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[Any], dict[str, Any]]:
+        super().reset(seed=seed, options=options)
+        self.place = self.np_random.uniform(-0.5, 0.5)
+        return np.array([self.place], np.float32), {"cost": 0.0}
+
+    def step(self, action: NDArray[Any]) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
+        assert self.action_space.contains(action)
+        self.forces.append(float(action[0]))
+        self.place += self.unit * action[0]
+        cost = float(abs(self.place) > 1)
+        seen = np.array([self.place], np.float32)
+        return seen, 0.0, False, False, {"cost": cost}
+
+
 def build(**kwargs: Any) -> Counter:
     return Counter(**kwargs)
 
@@ -96,10 +130,11 @@ def test_steps_are_those_of_plain_environments() -> None:
     rng = np.random.default_rng(0)
     for step in range(1, 420):
         action = rng.uniform(-1, 1, (3, 1)).astype(np.float32)
+        action *= 2  # the pendulum's own bounds
         observation, reward, terminated, truncated, info = env.step(action)
         assert observation.dtype == np.float32
         for n, copy in enumerate(alone):
-            there, gained, _, over, _ = copy.step(2 * action[n])
+            there, gained, _, over, _ = copy.step(action[n])
             assert reward[n] == pytest.approx(gained, abs=1e-5)
             assert truncated[n] == over == (step % 200 == 0)
             last = info["final_obs"][n] if over else observation[n]
@@ -135,15 +170,17 @@ def test_the_first_cost_ends_the_episode() -> None:
 
 
 @pytest.mark.usefixtures("counter")
-def test_actions_are_stretched_to_the_environments_range() -> None:
+def test_actions_are_in_the_environments_units_and_end_at_its_bounds() -> None:
     env = GymVectorEnv("test/Counter-v0", 1)
+    assert env.single_action_space == Counter().action_space
+    assert Fleet("gym:test/Counter-v0", (0,), 1).action_bounds == Bounds((-1.0, 2.0), (3.0, 4.0))
     env.reset(seed=0)
-    for action in ([-1, -1], [1, 1], [0, 0.5], [1 + 1e-6, -7]):
+    for action in ([-1, 2], [3, 4], [1, 3.5], [3 + 1e-6, -7], [-30, 30]):
         env.step(np.array([action]))
     (copy,) = env._copies
     found = np.array(copy.unwrapped.done)  # type: ignore[attr-defined]  # Counter's own
     assert found.dtype == np.float32
-    assert found == pytest.approx(np.array([[-1, 2], [3, 4], [1, 3.5], [3, 2]]))
+    assert found == pytest.approx(np.array([[-1, 2], [3, 4], [1, 3.5], [3, 2], [-1, 4]]))
 
 
 @pytest.mark.usefixtures("counter")
@@ -225,7 +262,8 @@ def test_training_seeds_reproduce_and_truncation_is_no_end(tmp_path: Path) -> No
     assert [row["length"] for row in table(tmp_path / "both" / "evaluations.csv")] == ["200"] * 4
     replay = Replay(tmp_path / "both" / "replay.bin", (0, 3), 2, 410, 205, 3, 1)
     rows = replay._rows.reshape(2, 615, 2, 12)[:, :410]
-    speed, torque, after = rows[..., 2], 2 * rows[..., 4], rows[..., 7]
+    speed, torque, after = rows[..., 2], rows[..., 4], rows[..., 7]
+    assert 1.5 < np.abs(torque).max() <= 2  # newton metres
     # Every transition is the pendulum's own, the last ones before a time limit as well.
     moved = (speed + 0.05 * (15 * rows[..., 1] + 3 * torque)).clip(-8, 8)
     assert after == pytest.approx(moved, abs=1e-4)
@@ -259,3 +297,88 @@ def test_a_resumed_run_begins_new_episodes(tmp_path: Path, monkeypatch: pytest.M
     assert np.flatnonzero(rows[0, :, 0, 11]).tolist() == [199, 204, 404]
     # 205 steps before the checkpoint end one episode of each copy, 205 after it another.
     assert [entry["episodes"] for entry in found.seeds] == [4, 4]
+
+
+RAILS = {"wide": (-30.0, 30.0, 0.01), "odd": (-0.1, 0.7, 0.5), "high": (99.9, 100.3, 0.004)}
+"""Lower bound, upper bound, and how far a unit of force moves the cart."""
+
+
+@pytest.mark.parametrize("rail", RAILS)
+def test_one_unit_from_the_data_to_the_actuator(rail: str, tmp_path: Path) -> None:
+    """Train, record, pretrain, train behind it, plug it in, wrap: newtons everywhere."""
+    low, high, unit = RAILS[rail]
+    kwargs = {"low": low, "high": high, "unit": unit}
+    gymnasium.register("test/Rail-v0", entry_point=Rail, max_episode_steps=20, kwargs=kwargs)
+    try:
+        tiny = replace(PENDULUM, task="gym:test/Rail-v0", seeds=(0,), steps=410, replay=410)
+        tiny = replace(tiny, checkpoint_every=410)
+        train(tiny, tmp_path / "sac", quiet=True)
+        log = offline_data(tiny.task, tmp_path / "sac", 0, 200, None, np.random.default_rng(0))
+        moved = (log.next_observations - log.observations)[:, 0]
+        assert moved == pytest.approx(unit * log.actions[:, 0], abs=1e-5)
+        assert low <= log.actions.min() < low + 0.05 * (high - low)
+        assert high >= log.actions.max() > high - 0.05 * (high - low)
+        policy = TrainedPolicy.load(tmp_path / "sac" / "policies" / "seed0.safetensors")
+        chosen = policy.act(log.observations)
+        assert low - 1e-5 <= chosen.min() < chosen.max() <= high + 1e-5
+        write_hdf5(log, tmp_path / "log.hdf5")
+        assert read_hdf5(tmp_path / "log.hdf5").actions.max() == log.actions.max()
+        for method in (DeaRrlAnnealedSettings(hidden=(8,)), RrlSettings(hidden=(8,))):
+            critics, behind = tmp_path / f"{type(method)}", tmp_path / f"behind{type(method)}"
+            of_log = PretrainConfig(
+                data=tmp_path / "log.hdf5", method=method, horizon=1, updates=30, seeds=(0,)
+            )
+            (safety,) = pretrain(of_log, critics, quiet=True).filters
+            wanted = Bounds((low,), (high,))
+            assert safety.for_actions(wanted, "here").actions == wanted
+            train(replace(tiny, safety=critics), behind, quiet=True)
+            rows = Replay(behind / "replay.bin", (0,), 2, 205, 205, 1, 1)._rows[0, :410]
+            assert rows[:, 3] - rows[:, 0] == pytest.approx(unit * rows[:, 2], abs=1e-5)
+            assert (rows[:, 1:3] >= low - 1e-6).all()
+            assert (rows[:, 1:3] <= high + 1e-6).all()
+            evaluate_policies(tmp_path / "sac", critics, behind / "plugged", episodes=2)
+            rail_env = gymnasium.make("test/Rail-v0")
+            protected = BehaviorCorrection(rail_env, safety)
+            for action in (low, high, (low + high) / 2, 1e9):
+                protected.reset(seed=0)
+                before = protected.unwrapped.place  # type: ignore[attr-defined]  # Rail's own
+                seen, *_, info = protected.step(np.array([action]))
+                assert seen[0] == pytest.approx(before + unit * info["executed_action"][0])
+    finally:
+        del gymnasium.registry["test/Rail-v0"]
+
+
+def test_what_was_made_in_other_units_is_refused(tmp_path: Path) -> None:
+    kwargs = {"low": -30.0, "high": 30.0}
+    gymnasium.register("test/Rail-v0", entry_point=Rail, max_episode_steps=20, kwargs=kwargs)
+    try:
+        tiny = replace(PENDULUM, task="gym:test/Rail-v0", seeds=(0,), steps=410, replay=410)
+        tiny = replace(tiny, checkpoint_every=410)
+        train(tiny, tmp_path / "sac", quiet=True)
+        log = offline_data(tiny.task, tmp_path / "sac", 0, 200, None, np.random.default_rng(0))
+        write_hdf5(log, tmp_path / "log.hdf5")
+        critics = PretrainConfig(
+            data=tmp_path / "log.hdf5",
+            method=DeaRrlAnnealedSettings(hidden=(8,)),
+            horizon=1,
+            updates=3,
+        )
+        pretrain(critics, tmp_path / "critics", quiet=True)
+        kwargs |= {"low": -3.0, "high": 3.0}
+        gymnasium.registry["test/Rail-v0"].kwargs |= kwargs
+        refused = r"gym:test/Rail-v0: its actions lie in \(-3\) to \(3\), the filter was trained on"
+        with pytest.raises(ValueError, match=refused):
+            train(replace(tiny, safety=tmp_path / "critics"), tmp_path / "behind", quiet=True)
+        assert not (tmp_path / "behind").exists()
+        refused = (
+            r"its policies choose actions in \(-30\) to \(30\), those of gym:test/Rail-v0 lie in"
+        )
+        with pytest.raises(ValueError, match=refused):
+            evaluate_policies(tmp_path / "sac", None, tmp_path / "plugged", episodes=2)
+        with pytest.raises(ValueError, match=r"sac: it recorded actions in \(-30\) to \(30\), "):
+            offline_data(tiny.task, tmp_path / "sac", 0, 0, None, np.random.default_rng(0))
+        (tmp_path / "sac" / "result.json").unlink()  # as if it were still at work
+        with pytest.raises(ValueError, match="not in the environment's units, within .-3. to .3."):
+            train(tiny, tmp_path / "sac", quiet=True)
+    finally:
+        del gymnasium.registry["test/Rail-v0"]
