@@ -143,6 +143,45 @@ def test_a_finetuned_gate_is_its_filters(rrl: Path) -> None:
     assert not (gated.executed == observations()[1])[gated.intervened].any()
 
 
+def test_nothing_that_is_not_finite_or_out_of_bounds_leaves_a_finetuned_gate(rrl: Path) -> None:
+    """It keeps the rules of its filters; networks that overflow give the middle."""
+    trained = rescaled(rrl)
+    bounds = Bounds((-0.25,), (0.5,))
+    ranges = [Ranges(bounds, Bounds.unit(2))] * 2
+    gate = FinetunedGate(
+        trained.learner, trained._thresholds, Scaling(UNITS), ranges, 0.9, trained._offline
+    )
+    s, a = observations()
+    s[:, 0, 0], s[:, 1, 1], s[:, 2, 0] = np.nan, np.inf, -np.inf
+    a[:, 3], a[:, 4], a[:, 5], a[:, 6] = np.nan, np.inf, -np.inf, 1e30
+    gated = gate.correct(s, a)
+    assert gated.intervened[:, :6].all()
+    assert ((gated.executed >= -0.25) & (gated.executed <= 0.5)).all()
+    for k, safety in enumerate(gate.filters()):
+        assert safety.actions == bounds
+        expected = safety.correct(s[k], a[k])
+        clear = abs(expected.critic - safety.threshold) > 1e-5
+        assert np.array_equal(gated.intervened[k, clear], expected.intervened[clear])
+        assert gated.executed[k, clear] == pytest.approx(expected.executed[clear], abs=1e-5)
+    with torch.no_grad():
+        gate.learner.recovery.mlp.biases[0][:] = torch.nan
+    executed = gate.correct(s, a).executed[:, :6]
+    middle = np.array([n.action_centre for n in UNITS])[:, None]  # of the policy's own range
+    assert executed == pytest.approx(np.broadcast_to(middle, executed.shape), abs=1e-6)
+
+
+def test_frozen_filters_warn_once_of_what_they_were_not_trained_on() -> None:
+    far = replace(braking_filter(), observations=Bounds((-0.1, -0.1), (0.1, 0.1)))
+    gate = FrozenGate((far, braking_filter()))
+    s, a = observations()
+    with pytest.warns(UserWarning, match="far outside of what the safety filter was trained on"):
+        gate.correct(s, a)
+    count = gate.watch.out_of_range
+    assert count == (abs(s[0]) > 0.12).any(axis=-1).sum() > 100
+    gate.correct(s, a)
+    assert (gate.watch.out_of_range, gate.watch.steps) == (2 * count, 800)
+
+
 def test_a_critic_that_is_no_number_or_at_the_threshold_lets_nothing_through(rrl: Path) -> None:
     s, a = observations()
     gate = rescaled(rrl)
@@ -306,6 +345,9 @@ def test_pretraining_that_does_not_fit_is_refused(rrl: Path, tmp_path: Path) -> 
         build_gate(replace(TINY, safety=rrl), Sizes(3, 1), BOUNDS)
     with pytest.raises(ValueError, match=r"brake has R\^2 and R\^2$"):
         build_gate(replace(TINY, safety=rrl), Sizes(2, 2), Bounds.unit(2))
+    message = r"^brake: its actions lie in \(-9\) to \(9\), the filter was trained on actions in "
+    with pytest.raises(ValueError, match=message):
+        build_gate(replace(TINY, safety=rrl), SIZES, Bounds((-9.0,), (9.0,)))
     with pytest.raises(ValueError, match=r"^threshold must lie in \(0, 1\], not 2.0$"):
         build_gate(replace(TINY, safety=rrl, threshold=(2.0,)), SIZES, BOUNDS)
     unfinished = hand_made(tmp_path / "unfinished", {0: braking_filter(), 3: braking_filter()})
