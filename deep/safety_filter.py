@@ -297,10 +297,14 @@ class SafetyFilter:
             & (most <= high + UNSEEN * width)
         )
         if not fits.all():
+            wider = (least <= low).all() and (most >= high).all()
+            hint = (
+                "; if the log merely shows no others, state the environment's bounds in "
+                "pretraining (--action-low, --action-high)"
+            )
             raise ValueError(
                 f"{where}: its actions lie in {bounds}, the filter was trained on actions in "
-                f"{self.actions}; if only the log shows no others, state the environment's "
-                "bounds in pretraining (--action-low, --action-high)"
+                f"{self.actions}{hint if wider else ''}"
             )
         return replace(self, actions=bounds)
 

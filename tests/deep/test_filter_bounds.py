@@ -77,13 +77,15 @@ def box(low: Any, high: Any, kind: Any = np.float32) -> spaces.Box:
 
 def test_other_action_bounds_are_refused_at_construction() -> None:
     message = r"^the environment: its actions lie in \(-30\) to \(30\), the filter was trained on "
-    with pytest.raises(ValueError, match=message + r"actions in \(-3\) to \(3\); "):
+    with pytest.raises(ValueError, match=message + r"actions in \(-3\) to \(3\); if the log "):
         BehaviorCorrection(Room(box(-30.0, 30.0)), lift_filter())
     with pytest.raises(ValueError, match=message):
         BehaviorCorrectionVector(SyncVectorEnv([lambda: Room(box(-30.0, 30.0))] * 2), lift_filter())
     for low, high in ((-3.31, 3.0), (-3.0, 3.31), (-2.98, 3.0), (-3.0, 2.98), (-1.0, 1.0)):
         with pytest.raises(ValueError, match="its actions lie in"):
             BehaviorCorrection(Room(box(low, high)), lift_filter())
+    with pytest.raises(ValueError, match=r"actions in \(-3\) to \(3\)$"):  # no hint: narrower
+        BehaviorCorrection(Room(box(-1.0, 3.0)), lift_filter())
     for low, high in ((-3.29, 3.29), (-2.999, 2.999)):  # nobody logged the very ends; rounding
         protected = BehaviorCorrection(Room(box(low, high)), lift_filter())
         assert protected.safety.actions.low[0] == pytest.approx(low)
