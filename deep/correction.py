@@ -30,7 +30,7 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
-from deep.safety_filter import Bounds, Correction, SafetyFilter, Watch
+from deep.safety_filter import Bounds, SafetyFilter, Watch
 
 __all__ = ["BehaviorCorrection", "BehaviorCorrectionVector", "action_bounds"]
 
@@ -83,7 +83,7 @@ class BehaviorCorrection(
     ) -> tuple[NDArray[Any], dict[str, Any]]:
         """Begin an episode."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._observation = np.array(observation)  # the environment may reuse its buffer
+        self._observation = np.array(observation)  # the agent may change its own in place
         blank = np.zeros(self.env.action_space.shape or (), self.env.action_space.dtype)
         return observation, info | self._report(False, blank, 0.0, False, False)
 
@@ -94,7 +94,7 @@ class BehaviorCorrection(
         seen = self._observation[None]
         done = self.safety.correct(seen, np.asarray(action)[None])
         self.watch.add(self.safety, seen, done)
-        executed = _typed(done, self.env.action_space)[0]
+        executed = done.executed[0].astype(self.env.action_space.dtype)
         observation, reward, terminated, truncated, info = self.env.step(executed)
         self._observation = np.array(observation)
         info = info | self._report(
@@ -185,7 +185,7 @@ class BehaviorCorrectionVector(VectorWrapper[NDArray[Any], NDArray[Any], NDArray
         seen = self._observations
         done = self.safety.correct(seen, np.asarray(actions))
         self.watch.add(self.safety, seen, done)
-        executed = _typed(done, self.single_action_space)
+        executed = done.executed.astype(self.single_action_space.dtype)
         observations, rewards, terminated, truncated, info = self.env.step(executed)
         self._observations = np.array(observations)
         info = info | self._report(
@@ -246,9 +246,3 @@ def _fitted(safety: SafetyFilter, observations: Any, actions: Any) -> SafetyFilt
             f"the filter was trained on {wanted[0]} and {wanted[1]}"
         )
     return safety.for_actions(bounds, "the environment")
-
-
-def _typed(correction: Correction, space: Any) -> NDArray[Any]:
-    """The actions to execute in the space's own type, whose rounding must not pass its ends."""
-    executed = correction.executed.astype(space.dtype)
-    return np.asarray(np.clip(executed, space.low, space.high))

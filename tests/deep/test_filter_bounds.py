@@ -40,6 +40,9 @@ KEYS = {
 }
 
 
+THREE = Bounds((-3.0,), (3.0,))
+
+
 class Room(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     """Shows what it is told to, and remembers what it was made to do."""
 
@@ -277,6 +280,15 @@ def test_what_a_filter_should_not_meet_is_counted_and_warned_of_once() -> None:
         *_, info = protected.step(np.full(1, np.inf))
     assert (info["out_of_range_steps"], info["not_finite_steps"]) == (2, 3)
     assert (protected.steps, protected.interventions) == (6, 3)
+
+
+def test_an_agent_that_changes_its_observation_in_place_is_judged_where_it_was() -> None:
+    protected = BehaviorCorrection(Room(), linear_filter([10.0], 0.0, -4.0, 0.3, actions=THREE))
+    seen, _ = protected.reset()
+    for _ in range(2):
+        seen -= 0.5  # as one that normalises; Q is above 1/2 from 0.4 on
+        seen, *_, info = protected.step(np.zeros(1))
+        assert info["critic"] == pytest.approx(1 / (1 + np.exp(-1)), abs=1e-6)
 
 
 def test_the_vector_wrapper_counts_over_all_copies() -> None:
