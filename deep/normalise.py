@@ -53,9 +53,8 @@ def ranges_of(data: Transitions, actions: Bounds | None = None) -> Ranges:
     outside = ((data.actions < low) | (data.actions > high)).any(axis=1)
     if outside.any():
         row = int(np.argmax(outside))
-        raise ValueError(
-            f"actions: row {row} is {data.actions[row].tolist()}, outside of their bounds {actions}"
-        )
+        values = ", ".join(f"{x:.6g}" for x in data.actions[row])
+        raise ValueError(f"actions: row {row} is ({values}), outside of their bounds {actions}")
     return Ranges(actions, observations)
 
 

@@ -442,7 +442,7 @@ def test_ranges_are_those_of_the_data_and_stated_bounds_hold_them() -> None:
     assert ranges_of(data) == (Bounds.unit(1), seen)
     assert seen.low == tuple(data.observations.min(axis=0).tolist())
     assert ranges_of(data, Bounds((-2.0,), (1.0,))) == (Bounds((-2.0,), (1.0,)), seen)
-    with pytest.raises(ValueError, match=r"^actions: row 0 is \[-1.0\], outside of their bounds"):
+    with pytest.raises(ValueError, match=r"^actions: row 0 is \(-1\), outside of their bounds"):
         ranges_of(data, Bounds((-0.99,), (1.0,)))
     with pytest.raises(ValueError, match=r"^actions lie in R\^1, their bounds in R\^2$"):
         ranges_of(data, Bounds.unit(2))
