@@ -21,10 +21,11 @@ from deep.formats import read_hdf5, write_hdf5
 from deep.online.config import TrainConfig
 from deep.online.episodes import run_episodes
 from deep.online.fleet import Fleet, evaluation_copies, make_vector_env
+from deep.online.learner import TaskBatch, TaskLosses
 from deep.online.offline_data import offline_data
 from deep.online.plug import evaluate_policies
 from deep.online.replay import Replay
-from deep.online.sac import SacSettings
+from deep.online.sac import Sac, SacSettings
 from deep.online.train import train
 from deep.pretrain import DeaRrlAnnealedSettings, RrlSettings
 from deep.run import pretrain
@@ -346,6 +347,22 @@ def test_one_unit_from_the_data_to_the_actuator(rail: str, tmp_path: Path) -> No
                 assert seen[0] == pytest.approx(before + unit * info["executed_action"][0])
     finally:
         del gymnasium.registry["test/Rail-v0"]
+
+
+def test_learners_see_actions_that_fill_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[float] = []
+    plain = Sac.update
+
+    def spy(self: Sac, batch: TaskBatch) -> TaskLosses:
+        seen.extend(float(part.abs().max()) for part in (batch.action, batch.executed))
+        return plain(self, batch)
+
+    monkeypatch.setattr(Sac, "update", spy)
+    train(replace(PENDULUM, steps=140, replay=140, checkpoint_every=140), tmp_path, quiet=True)
+    assert seen
+    assert 0.8 < min(seen) <= max(seen) <= 1 + 1e-6
 
 
 def test_what_was_made_in_other_units_is_refused(tmp_path: Path) -> None:

@@ -536,9 +536,7 @@ def test_a_file_can_be_given_the_environments_action_bounds(tmp_path: Path) -> N
     assert safety.actions == Bounds((-4.0,), (1.0,))
     assert read_run(tmp_path / "stated").action_bounds == safety.actions
     narrow = replace(seen, action_low=(0.0,), action_high=(1.0,))
-    with pytest.raises(
-        ValueError, match=r"data.hdf5: actions: row 0 is \(-1\), outside of their"
-    ):
+    with pytest.raises(ValueError, match=r"data.hdf5: actions: row 0 is \(-1\), outside of their"):
         pretrain(narrow, tmp_path / "narrow", quiet=True)
     assert not (tmp_path / "narrow").exists()
     for bounds, message in (
