@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,14 +28,15 @@ class ModelOptions:
     """What a source cannot say by itself. A reader refuses options that mean nothing to it.
 
     Attributes:
-        fail_label: the label of the fail states, in formats with labels.
+        fail_label: the label of the fail states, or several, in formats with labels.
         fail_states: a mask (S,) or numbers of states.
-        fail_if: a condition on (s, a, r, s'); see :mod:`dead_ends.io.condition`.
+        fail_if: a condition on (s, a, r, s'), or on the model's variables; see
+            :mod:`dead_ends.io.condition`.
         arguments: for making an environment.
         constants: values of a symbolic model's constants, such as "N=4,K=2".
     """
 
-    fail_label: str | None = None
+    fail_label: str | Sequence[str] | None = None
     fail_states: ArrayLike | None = None
     fail_if: Condition | None = None
     arguments: Mapping[str, Any] | None = None
@@ -60,7 +61,7 @@ class ModelOptions:
 def load_model(
     source: Any,
     *,
-    fail_label: str | None = None,
+    fail_label: str | Sequence[str] | None = None,
     fail_states: ArrayLike | None = None,
     fail_if: Condition | None = None,
     arguments: Mapping[str, Any] | None = None,
@@ -77,6 +78,10 @@ def load_model(
         ValueError: naming the file, and the place in it where something is wrong.
         OSError: if the file cannot be read.
         MissingDependencyError: if a package that the format needs is not installed.
+
+    Warns:
+        NoFailureWarning: if one of fail_label, fail_states and fail_if selects nothing, so that
+            failure by it is impossible.
     """
     options = ModelOptions(fail_label, fail_states, fail_if, arguments, constants)
     if not isinstance(source, str | os.PathLike):

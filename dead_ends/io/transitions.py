@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dead_ends.io.condition import evaluate_condition
+from dead_ends.io.errors import warn_no_failure
 from dead_ends.model import Geometry, SafeMDP
 
 __all__ = ["Condition", "Transitions", "build_model", "state_mask", "violations"]
@@ -66,8 +67,8 @@ def build_model(transitions: Transitions, fail_if: Condition | None = None) -> S
     """The safe MDP that the transitions make.
 
     Transitions that satisfy ``fail_if`` lead to one added fail state, if they do not enter a
-    fail state anyway. Transitions that end
-    the episode elsewhere make their target terminal if nothing else tells against it, see
+    fail state anyway; where none does, that is warned of. Transitions that end the episode
+    elsewhere make their target terminal if nothing else tells against it, see
     :func:`_end_episodes`. The model is deterministic if every available action has one
     successor.
 
@@ -80,7 +81,10 @@ def build_model(transitions: Transitions, fail_if: Condition | None = None) -> S
         transitions = _select(transitions, possible)
     rewards = _expected_rewards(transitions)
     if fail_if is not None:
-        violates = violations(transitions, fail_if) & ~transitions.fail[transitions.target]
+        violates = violations(transitions, fail_if)
+        if not violates.any():
+            warn_no_failure(f"no transition satisfies {_quoted(fail_if)}")
+        violates &= ~transitions.fail[transitions.target]
         if transitions.done is not None:
             transitions = replace(transitions, done=transitions.done & ~violates)
         transitions = _redirect(transitions, violates, "fail", fails=True)
@@ -92,7 +96,7 @@ def build_model(transitions: Transitions, fail_if: Condition | None = None) -> S
 
 
 def state_mask(states: ArrayLike, num_states: int) -> NDArray[np.bool_]:
-    """A bool (S,) mask from a mask or from numbers of states.
+    """A bool (S,) mask of the fail states from a mask or from numbers; none is warned of.
 
     Raises:
         ValueError: if there is no such state.
@@ -101,8 +105,13 @@ def state_mask(states: ArrayLike, num_states: int) -> NDArray[np.bool_]:
     if array.dtype == np.bool_:
         if array.shape != (num_states,):
             raise ValueError(f"fail states: a mask must have shape ({num_states},)")
-        return array.copy()
+        mask = array.copy()
+        if not mask.any():
+            warn_no_failure("no state is marked in fail_states")
+        return mask
     mask = np.zeros(num_states, dtype=np.bool_)
+    if not array.size:
+        warn_no_failure("no state is listed in fail_states")
     for state in array.ravel().tolist():
         if not isinstance(state, int) or not 0 <= state < num_states:
             raise ValueError(f"fail states: {state} is not a state (0 to {num_states - 1})")
@@ -125,6 +134,10 @@ def violations(transitions: Transitions, condition: Condition) -> NDArray[np.boo
         raise ValueError("the condition needs rewards, and these transitions have none")
     rows = zip(source.tolist(), action.tolist(), reward.tolist(), target.tolist(), strict=True)
     return np.array([bool(condition(*row)) for row in rows], dtype=np.bool_)
+
+
+def _quoted(condition: Condition) -> str:
+    return repr(condition) if isinstance(condition, str) else "the condition (fail_if)"
 
 
 def _check_ends(transitions: Transitions) -> None:
