@@ -158,6 +158,19 @@ def test_label_files(capsys: pytest.CaptureFixture[str], corridor: str, tmp_path
         assert json.loads(str(arrays["summary"])) == content["summary"]
 
 
+def test_normalise(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "six.tra"
+    path.write_text("3 5\n0 0 0.333333\n0 1 0.333333\n0 2 0.333333\n1 1 1\n2 2 1\n")
+    source = ["label", str(path), "--fail-states", "1"]
+    assert "line 2: state 0, choice 0: probabilities sum to 0.999999, not 1; normalise" in fails(
+        capsys, *source
+    )
+    status, out, err = run(capsys, *source, "--normalise")
+    assert (status, err) == (0, "")
+    assert "  rows normalised               1\n" in out
+    assert json.loads(run(capsys, *source, "--normalise", "--json")[1])["rows_normalised"] == 1
+
+
 def test_convert(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "lake.npz"
     status, out, _ = run(capsys, "convert", "FrozenLake-v1", "--out", str(path))

@@ -327,3 +327,94 @@ def test_geometry_needs_two_columns() -> None:
 def test_successors_are_for_tables_only() -> None:
     with pytest.raises(ValueError, match="the model is stochastic"):
         SafeMDP.stochastic(uniform_kernel(3, 1), FAIL_LAST).successors()
+
+
+SIX_DIGITS = [0.25, 0.333333, 0.416666]
+
+
+def one_row(row: object, **options: object) -> SafeMDP:
+    """State 0 has this row, 1 and 2 stay and 2 fails."""
+    P = np.zeros((3, 1, 3), dtype=getattr(row, "dtype", object))
+    P[0, 0], P[1, 0, 1] = row, P.dtype.type(1) if P.dtype != object else 1
+    return SafeMDP.stochastic(P, FAIL_LAST, **options)
+
+
+class TestRowsThatMissOne:
+    """By six digits or single precision: mended only where that is asked for, and counted."""
+
+    @pytest.mark.parametrize(
+        "row",
+        [
+            np.array(SIX_DIGITS),
+            np.array([1 / 3] * 3, dtype=np.float32),
+            np.array([0.1, 0.9, 0], dtype=np.float32),
+            [Fraction(str(p)) for p in SIX_DIGITS],
+            SIX_DIGITS,
+        ],
+        ids=["six digits", "thirds", "tenths", "fractions", "objects"],
+    )
+    def test_refused_by_name_or_mended(self, row: object) -> None:
+        with pytest.raises(
+            ValueError,
+            match=r"^state 0, action 0: probabilities sum to \S+, not (exactly )?1; "
+            r"normalise=True \(--normalise\) divides such probabilities by their sum$",
+        ):
+            one_row(row)
+        model = one_row(row, normalise=True)
+        given = [Fraction(p) if isinstance(p, Fraction) else Fraction(repr(float(p))) for p in row]
+        quotients = [p / sum(given) for p in given if p]
+        assert model.transitions().data[:-1] == pytest.approx(
+            list(map(float, quotients)), rel=4e-16
+        )
+        if isinstance(row, list):
+            assert model.exact == (*quotients, Fraction(1))
+        assert sum(model.exact_probabilities()[:-1]) == 1
+        assert model.normalised == 1
+        assert repr(model).endswith("1 fail, 0 terminal, 1 rows normalised)")
+
+    def test_thirds_of_six_digits_are_exact_thirds(self) -> None:
+        model = one_row(np.array([0.333333] * 3), normalise=True)
+        assert model.exact_probabilities()[:3] == (Fraction(1, 3),) * 3
+
+    @pytest.mark.parametrize("off", [1.1e-6, -1.1e-6, 0.5, -0.5, np.nan])
+    @pytest.mark.parametrize("number", [float, Fraction])
+    def test_what_misses_one_by_more_is_a_mistake(self, off: float, number: type) -> None:
+        if number is Fraction and np.isnan(off):
+            return
+        row = np.array([number(0.5), number(0.5 + off), number(0)])
+        for options in ({}, {"normalise": True}):
+            with pytest.raises(ValueError, match="^state 0, action 0: probabilit") as caught:
+                one_row(row, **options)
+            assert "--normalise" not in str(caught.value)
+
+    @pytest.mark.parametrize("off", [0.9e-6, -0.9e-6])
+    def test_as_far_as_promised(self, off: float) -> None:
+        assert one_row(np.array([0.5, 0.5 + off, 0]), normalise=True).normalised == 1
+
+    def test_rows_that_are_right_stay_to_the_bit(self) -> None:
+        row = np.array([0.1, 0.2, 0.7 + 5e-10])
+        model = one_row(row, normalise=True)
+        assert model.transitions().data[:3].tolist() == row.tolist()
+        assert model.normalised == 0
+        assert "normalised" not in repr(model)
+        assert one_row(row).normalised is None
+
+    def test_the_initial_distribution(self) -> None:
+        initial = np.array([1 / 3] * 3, dtype=np.float32)
+        with pytest.raises(ValueError, match="^initial: probabilities sum to .*--normalise"):
+            SafeMDP.deterministic(CHAIN.copy(), FAIL_LAST, initial=initial)
+        model = SafeMDP.deterministic(CHAIN.copy(), FAIL_LAST, initial=initial, normalise=True)
+        assert model.initial == pytest.approx([1 / 3] * 3, rel=4e-16)
+        assert model.normalised == 1
+        both = one_row(np.array(SIX_DIGITS), initial=initial, normalise=True)
+        assert both.normalised == 2
+
+    def test_six_digits_of_many_entries_miss_by_more(self) -> None:
+        P = np.zeros((7, 1, 7))
+        P[0, 0, :6] = 0.166667
+        fail = np.arange(7) > 0
+        model = SafeMDP.stochastic(P, fail, normalise=True)
+        assert model.exact_probabilities() == (Fraction(1, 6),) * 6
+        P[0, 0, 6] = 2e-6
+        with pytest.raises(ValueError, match="sum to 1.000004, not 1$"):
+            SafeMDP.stochastic(P, fail, normalise=True)

@@ -59,6 +59,12 @@ def add_source_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         help="constants of a PRISM or JANI model, such as N=4,K=2",
     )
+    parser.add_argument(
+        "--normalise",
+        action="store_true",
+        help="divide probabilities that miss 1 by 1e-6, or 5e-7 each, as those of six digits do, "
+        "by their sum",
+    )
 
 
 def read_source(arguments: argparse.Namespace) -> SafeMDP:
@@ -74,6 +80,7 @@ def read_source(arguments: argparse.Namespace) -> SafeMDP:
             fail_if=_any_of(arguments.fail_if),
             arguments=dict(arguments.env_arg) if arguments.env_arg else None,
             constants=",".join(arguments.constants) if arguments.constants else None,
+            normalise=arguments.normalise,
         )
     for warning in caught:
         if issubclass(warning.category, NoFailureWarning):

@@ -24,7 +24,7 @@ from dead_ends.io.condition import NAMES, evaluate_condition, names_in
 from dead_ends.io.errors import warn_no_failure
 from dead_ends.io.transitions import Condition, Transitions, build_model, state_mask
 from dead_ends.model import SafeMDP
-from dead_ends.model_input import ROW_SUM_TOLERANCE
+from dead_ends.model_input import ROW_SUM_TOLERANCE, mendable, not_one
 
 if TYPE_CHECKING:
     from dead_ends.io.tokens import Tokens
@@ -157,8 +157,8 @@ class Explicit:
     variables: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
 
-def explicit_model(explicit: Explicit, failure: Failure) -> SafeMDP:
-    """The safe MDP of a labelled model.
+def explicit_model(explicit: Explicit, failure: Failure, normalise: bool = False) -> SafeMDP:
+    """The safe MDP of a labelled model; ``normalise`` as in :func:`build_model`.
 
     Raises:
         ValueError: if there is no such label, or naming the state and action at fault.
@@ -177,7 +177,7 @@ def explicit_model(explicit: Explicit, failure: Failure) -> SafeMDP:
         state_names=explicit.state_names,
         action_names=names,
     )
-    return build_model(transitions, condition)
+    return build_model(transitions, condition, normalise=normalise)
 
 
 def read_states(tokens: Tokens, places: Integers, num_states: int, trim: int = 0) -> Integers:
@@ -201,8 +201,9 @@ def check_distributions(
     source: Integers,
     choice: Integers,
     probability: NDArray[Any],
+    normalise: bool = False,
 ) -> None:
-    """Check that the probabilities of each choice are a distribution.
+    """Check that the probabilities of each choice are a distribution, or can be normalised.
 
     Raises:
         ValueError: naming the file and line (the first of the choice), state and choice.
@@ -218,17 +219,20 @@ def check_distributions(
     if len(negative):
         raise fail(int(negative[0]), f"negative probability {probability[negative[0]]}")
     row = source * (int(choice.max()) + 1) + choice
+    entries = np.bincount(row[probability != 0], minlength=int(row.max()) + 1)
     if probability.dtype == object:
-        exact_total = np.zeros(int(row.max()) + 1, dtype=object)
-        np.add.at(exact_total, row, probability)
-        wrong = np.flatnonzero(exact_total[row] != 1)
-        if len(wrong):
-            raise fail(wrong[0], f"probabilities sum to {exact_total[row[wrong[0]]]}, not 1")
-        return
-    total = np.bincount(row, probability)
-    wrong = np.flatnonzero(np.abs(total[row] - 1) > ROW_SUM_TOLERANCE)
+        total = np.zeros(len(entries), dtype=object)
+        np.add.at(total, row, probability)
+        off = total != 1
+    else:
+        total = np.bincount(row, probability)
+        off = np.abs(total - 1) > ROW_SUM_TOLERANCE
+    if normalise:
+        off &= ~mendable(total, entries).astype(np.bool_)
+    wrong = np.flatnonzero(off[row])
     if len(wrong):
-        raise fail(wrong[0], f"probabilities sum to {total[row[wrong[0]]]:.12g}, not 1")
+        at = row[wrong[0]]
+        raise fail(wrong[0], not_one(total[at], int(entries[at])))
 
 
 def count_distinct(values: Integers) -> int:

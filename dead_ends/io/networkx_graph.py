@@ -27,7 +27,11 @@ __all__ = ["from_networkx", "to_networkx"]
 
 
 def from_networkx(
-    graph: Any, fail: Iterable[Hashable] | None = None, *, fail_if: Condition | None = None
+    graph: Any,
+    fail: Iterable[Hashable] | None = None,
+    *,
+    fail_if: Condition | None = None,
+    normalise: bool = False,
 ) -> SafeMDP:
     """The model of a DiGraph or MultiDiGraph.
 
@@ -38,6 +42,7 @@ def from_networkx(
         graph: with the attributes described above.
         fail: the nodes that fail; without it and ``fail_if`` those with the attribute ``fail``.
         fail_if: a condition on the numbers (s, a, s').
+        normalise: as in :meth:`dead_ends.SafeMDP.stochastic`.
 
     Raises:
         ValueError: naming the node, and the action, at fault.
@@ -66,7 +71,7 @@ def from_networkx(
         state_names=tuple(str(node) for node in graph.nodes),
         action_names=tuple(str(label) for label in labels) or None,
     )
-    return build_model(transitions, fail_if)
+    return build_model(transitions, fail_if, normalise=normalise)
 
 
 def to_networkx(model: SafeMDP) -> Any:

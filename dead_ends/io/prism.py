@@ -48,7 +48,9 @@ _NAMES_HEADER = "(name)"
 """The header of our own .sta files: one variable, whose values are the states' names."""
 
 
-def load_prism(path: str | os.PathLike[str], failure: Failure | None = None) -> SafeMDP:
+def load_prism(
+    path: str | os.PathLike[str], failure: Failure | None = None, *, normalise: bool = False
+) -> SafeMDP:
     """The model in a .tra file, with the .lab and .sta files beside it if there are any.
 
     Raises:
@@ -56,7 +58,7 @@ def load_prism(path: str | os.PathLike[str], failure: Failure | None = None) -> 
         OSError: if there is no such file.
         MemoryError: if the first line announces more states than fit the memory.
     """
-    explicit = _read_transitions(Tokens(path))
+    explicit = _read_transitions(Tokens(path), normalise)
     labels, names = Path(path).with_suffix(".lab"), Path(path).with_suffix(".sta")
     if labels.exists():
         explicit = replace(explicit, labels=_read_labels(Tokens(labels), explicit.num_states))
@@ -64,7 +66,7 @@ def load_prism(path: str | os.PathLike[str], failure: Failure | None = None) -> 
         table = _read_values(Tokens(names), explicit.num_states)
         explicit = replace(explicit, state_names=_state_names(table), variables=_variables(table))
     with located(path):
-        return explicit_model(explicit, failure or Failure())
+        return explicit_model(explicit, failure or Failure(), normalise)
 
 
 def save_prism(path: str | os.PathLike[str], model: SafeMDP) -> None:
@@ -101,7 +103,7 @@ def _content(tokens: Tokens) -> tuple[Integers, Integers]:
     return lines, tokens.first[lines]
 
 
-def _read_transitions(tokens: Tokens) -> Explicit:
+def _read_transitions(tokens: Tokens, normalise: bool) -> Explicit:
     lines, first = _content(tokens)
     header = np.arange(tokens.first[lines[0]], tokens.first[lines[0] + 1])
     if len(header) not in (2, 3):
@@ -130,7 +132,7 @@ def _read_transitions(tokens: Tokens) -> Explicit:
     target = read_states(tokens, first + width - 2, num_states)
     probability = tokens.numbers(first + width - 1, "a probability")
     _check_choices(tokens, lines, source, choice, sizes[1] if is_mdp else None)
-    check_distributions(tokens, lines, source, choice, probability)
+    check_distributions(tokens, lines, source, choice, probability, normalise)
     named = counts == width + 1
     choice_name = np.full(len(source), -1, dtype=np.int64)
     names, choice_name[named] = tokens.distinct((first + width)[named])

@@ -28,7 +28,11 @@ ALL_DIGITS = 17
 
 
 def load_with_storm(
-    path: str | os.PathLike[str], failure: Failure | None = None, constants: str = ""
+    path: str | os.PathLike[str],
+    failure: Failure | None = None,
+    constants: str = "",
+    *,
+    normalise: bool = False,
 ) -> SafeMDP:
     """The model in a PRISM-language, JANI or UMB file.
 
@@ -36,6 +40,7 @@ def load_with_storm(
         path: .prism, .nm, .pm; .jani; or .umb.
         failure: which states fail.
         constants: values of undefined constants, such as "N=4,K=2".
+        normalise: as in :meth:`dead_ends.SafeMDP.stochastic`.
 
     Raises:
         ValueError: naming the file, with what Storm says about it, or the constants without values.
@@ -59,12 +64,12 @@ def load_with_storm(
             raise ValueError(str(error)) from None
         variables = _variables(model)
         explicit = replace(
-            read_drn(built),
+            read_drn(built, normalise=normalise),
             labels=_labels(model),
             variables=variables,
             state_names=_state_names(variables),
         )
-        return explicit_model(explicit, failure or Failure())
+        return explicit_model(explicit, failure or Failure(), normalise)
 
 
 def _labels(model: Any) -> dict[str, NDArray[np.bool_]]:

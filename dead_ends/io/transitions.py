@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from dead_ends.io.condition import evaluate_condition
 from dead_ends.io.errors import warn_no_failure
 from dead_ends.model import Geometry, SafeMDP
+from dead_ends.model_input import ExactEntries, mend_rows
 
 __all__ = ["Condition", "Transitions", "build_model", "state_mask", "violations"]
 
@@ -63,14 +63,16 @@ class Transitions:
         return len(self.fail)
 
 
-def build_model(transitions: Transitions, fail_if: Condition | None = None) -> SafeMDP:
+def build_model(
+    transitions: Transitions, fail_if: Condition | None = None, *, normalise: bool = False
+) -> SafeMDP:
     """The safe MDP that the transitions make.
 
     Transitions that satisfy ``fail_if`` lead to one added fail state, if they do not enter a
     fail state anyway; where none does, that is warned of. Transitions that end the episode
     elsewhere make their target terminal if nothing else tells against it, see
-    :func:`_end_episodes`. The model is deterministic if every available action has one
-    successor.
+    :func:`_end_episodes`. ``normalise``: as in :meth:`dead_ends.SafeMDP.stochastic`. The model
+    is deterministic if every available action has one successor.
 
     Raises:
         ValueError: naming the state and action at fault.
@@ -79,6 +81,11 @@ def build_model(transitions: Transitions, fail_if: Condition | None = None) -> S
     possible = transitions.probability != 0
     if not possible.all():
         transitions = _select(transitions, possible)
+    mended = 0
+    if normalise:
+        row = transitions.source * transitions.num_actions + transitions.action
+        probability, mended = mend_rows(row, transitions.probability)
+        transitions = replace(transitions, probability=probability)
     rewards = _expected_rewards(transitions)
     if fail_if is not None:
         violates = violations(transitions, fail_if)
@@ -92,7 +99,8 @@ def build_model(transitions: Transitions, fail_if: Condition | None = None) -> S
     if rewards is not None:
         added = transitions.num_states - len(rewards)
         rewards = np.concatenate((rewards, np.zeros((added, transitions.num_actions))))
-    return _compact(transitions, rewards)
+    model = _compact(transitions, rewards, normalise)
+    return replace(model, normalised=mended + (model.normalised or 0)) if normalise else model
 
 
 def state_mask(states: ArrayLike, num_states: int) -> NDArray[np.bool_]:
@@ -231,7 +239,9 @@ def _redirect(
     )
 
 
-def _compact(transitions: Transitions, rewards: NDArray[np.float64] | None) -> SafeMDP:
+def _compact(
+    transitions: Transitions, rewards: NDArray[np.float64] | None, normalise: bool
+) -> SafeMDP:
     """The model in the form that suits it: a table if every action has one successor."""
     num_states, num_actions = transitions.num_states, transitions.num_actions
     row = transitions.source * num_actions + transitions.action
@@ -244,6 +254,7 @@ def _compact(transitions: Transitions, rewards: NDArray[np.float64] | None) -> S
         "state_names": transitions.state_names,
         "action_names": transitions.action_names,
         "geometry": transitions.geometry,
+        "normalise": normalise,
     }
     model = SafeMDP.stochastic(
         _kernel(transitions, row),
@@ -262,12 +273,12 @@ def _compact(transitions: Transitions, rewards: NDArray[np.float64] | None) -> S
 
 
 def _kernel(transitions: Transitions, row: Integers) -> Any:
-    from scipy import sparse
-
     rows = transitions.num_states * transitions.num_actions
     if transitions.probability.dtype != object:
+        from scipy import sparse
+
         entries = (transitions.probability, (row, transitions.target))
         return sparse.coo_array(entries, shape=(rows, transitions.num_states))
-    dense = np.full((rows, transitions.num_states), Fraction(0), dtype=object)
-    np.add.at(dense, (row, transitions.target), transitions.probability)
-    return dense.reshape(transitions.num_states, transitions.num_actions, -1)
+    return ExactEntries(
+        row, transitions.target, transitions.probability, (rows, transitions.num_states)
+    )

@@ -257,7 +257,7 @@ def test_names_that_cannot_be_written(suffix: str, tmp_path: Path) -> None:
             "line 2: state 0, choice 0: probabilities sum to 0.999, not 1",
         ),
         ("0 0 2 0.5", "0 0 2 -0.5", "line 3: state 0, choice 0: negative probability -0.5"),
-        ("0.5", "1/3", "line 2: state 0, choice 0: probabilities sum to 2/3, not 1"),
+        ("0.5", "1/3", "line 2: state 0, choice 0: probabilities sum to 2/3, not exactly 1"),
     ],
 )
 def test_bad_transitions(old: str, new: str, message: str, tmp_path: Path) -> None:
