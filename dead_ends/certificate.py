@@ -28,6 +28,7 @@ from dead_ends.io.errors import located
 from dead_ends.io.npz import read_arrays
 from dead_ends.labels import classify, safe_actions
 from dead_ends.model import SafeMDP
+from dead_ends.model_input import require_type
 from dead_ends.results import Labelling
 
 __all__ = ["certify", "load_certificate", "save_certificate"]
@@ -44,6 +45,9 @@ def certify(model: SafeMDP, labelling: Labelling | None = None) -> Certificate:
         model: deterministic or stochastic.
         labelling: its ``classify(model)``, if at hand.
     """
+    require_type(model, SafeMDP, "certify")
+    if labelling is not None:
+        require_type(labelling, Labelling, "certify")
     if labelling is None:
         labelling = classify(model)
     stays = safe_actions(model, labelling)
@@ -69,6 +73,7 @@ def save_certificate(path: str | os.PathLike[str], certificate: Certificate) -> 
         ValueError: if the suffix is another one or the folder does not exist.
         OSError: if the file cannot be written; then nothing is left behind.
     """
+    require_type(certificate, Certificate, "save_certificate")
     head = {"format": FORMAT, "version": VERSION, "digest": certificate.digest}
     columns = {name: getattr(certificate, name) for name in COLUMNS}
     suffix = Path(path).suffix.lower()

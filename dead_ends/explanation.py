@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from dead_ends.bellman import value_iteration
 from dead_ends.labels import classify, safe_actions
 from dead_ends.model import SafeMDP
+from dead_ends.model_input import require_type
 from dead_ends.policies import recovery_policy
 from dead_ends.results import INFINITE, Label, Labelling
 
@@ -92,6 +93,9 @@ def explain(model: SafeMDP, state: int | str, labelling: Labelling | None = None
     Raises:
         ValueError: if there is no such state, or if the name belongs to several.
     """
+    require_type(model, SafeMDP, "explain")
+    if labelling is not None:
+        require_type(labelling, Labelling, "explain")
     index = state_index(model, state)
     if labelling is None:
         labelling = classify(model)

@@ -51,7 +51,7 @@ def build_kernel(
             entries = _listed(P, available)
             return _build_exact(entries, available, terminal, name, normalise)
         _check_kind(P.dtype)
-        P = sparse.csr_array(P.reshape(num_states * num_actions, num_states))
+        P = P.astype(np.float64, copy=False).reshape(num_states * num_actions, num_states)
     _check_kind(P.dtype)
     kernel = sparse.csr_array(P, dtype=np.float64, copy=True)
     _check_indices(kernel, num_actions, name)
@@ -102,7 +102,10 @@ def _listed(P: NDArray[np.object_], available: NDArray[np.bool_]) -> ExactEntrie
     num_states, num_actions = available.shape
     rows = np.flatnonzero(available)
     dense = P.reshape(num_states * num_actions, num_states)[rows]
-    place, column = np.nonzero(np.asarray(dense != 0, dtype=np.bool_))
+    try:
+        place, column = np.nonzero(np.asarray(dense != 0, dtype=np.bool_))
+    except ValueError:
+        raise ValueError("P holds objects that are no numbers") from None
     return ExactEntries(
         row=rows[place],
         column=column,
@@ -127,9 +130,13 @@ def _build_exact(
     kept = (available.ravel() & ~ends)[entries.row]
     columns = (entries.row[kept].tolist(), entries.column[kept].tolist(), entries.value[kept])
     for row, column, p in zip(*columns, strict=True):
-        value = _fraction(p, name(*divmod(row, num_actions)))
+        try:
+            value = _fraction(p)
+        except ValueError as error:
+            raise ValueError(f"{name(*divmod(row, num_actions))}: {error}") from None
         if value:
-            total[row, column] = total.get((row, column), Fraction(0)) + value
+            place = row, column
+            total[place] = total[place] + value if place in total else value
     places = sorted(total)
     rows = np.array([row for row, _ in places], dtype=np.int64)
     values = np.array([total[place] for place in places], dtype=object)
@@ -146,26 +153,30 @@ def _build_exact(
     return _freeze(sparse.csr_array((data, indices, indptr), shape=entries.shape)), exact, mended
 
 
-def _fraction(p: Any, where: str) -> Fraction:
+def _fraction(p: Any) -> Fraction:
     try:
         value = _exactly(p)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{where}: {str(p)[:80]!r} is not a probability") from None
+        raise ValueError(f"{str(p)[:80]!r} is not a probability") from None
     if value < 0:
-        raise ValueError(f"{where}: negative probability {shown(value)}")
+        raise ValueError(f"negative probability {shown(value)}")
     if max(value.numerator.bit_length(), value.denominator.bit_length()) > MAX_BITS:
-        raise ValueError(f"{where}: a probability with more than {MAX_BITS:,} bits")
+        raise ValueError(f"a probability with more than {MAX_BITS:,} bits")
     return value
 
 
 def _exactly(p: Any) -> Fraction:
     """A number as a Fraction of Python's integers, which never overflow; a float as a decimal."""
+    if type(p) is int:
+        return Fraction(p)
     if isinstance(p, float | np.floating):
         return Fraction(repr(float(p)))
     if isinstance(p, str | Decimal):
         return read_fraction(str(p))
-    fraction = Fraction(p)
-    return Fraction(int(fraction.numerator), int(fraction.denominator))
+    value = Fraction(p)
+    if type(value.numerator) is int and type(value.denominator) is int:
+        return value
+    return Fraction(int(value.numerator), int(value.denominator))
 
 
 def _rows_of(kernel: Csr) -> NDArray[np.int64]:

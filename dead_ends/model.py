@@ -38,6 +38,7 @@ from dead_ends.model_input import (
     named,
     plain_array,
     read_only,
+    require_type,
     reward_table,
     successor_table,
     transition_array,
@@ -320,6 +321,7 @@ class SafeMDP:
 def _geometry(geometry: Geometry | None, num_states: int, num_actions: int) -> Geometry | None:
     if geometry is None:
         return None
+    require_type(geometry, Geometry, "geometry")
     if len(geometry.cell) != num_states:
         raise ValueError(f"geometry: expected {num_states} cells, got {len(geometry.cell)}")
     if geometry.arrows is not None and len(geometry.arrows) != num_actions:

@@ -31,6 +31,7 @@ __all__ = [
     "plain_array",
     "read_fraction",
     "read_only",
+    "require_type",
     "reward_table",
     "shown",
     "successor_table",
@@ -63,6 +64,26 @@ class ExactEntries:
     column: Integers
     value: NDArray[np.object_]
     shape: tuple[int, int]
+
+
+def require_type(value: object, kind: type, where: str) -> None:
+    """Refuse what a function cannot take.
+
+    Raises:
+        TypeError: naming the type wanted, and what makes it.
+    """
+    if not isinstance(value, kind):
+        made = _MADE_BY.get(kind.__name__, "")
+        raise TypeError(f"{where} takes a {kind.__name__}{made}, not {type(value).__name__}")
+
+
+_MADE_BY = {
+    "SafeMDP": " (SafeMDP.deterministic and SafeMDP.stochastic make one of arrays)",
+    "Values": " (value_iteration and evaluate_policy make them)",
+    "Labelling": " (classify makes one)",
+    "Certificate": " (certify makes one)",
+    "ExpectedSurvival": " (expected_survival makes one)",
+}
 
 
 def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
@@ -101,8 +122,7 @@ class Names:
 def _checked_names(what: str, names: Sequence[str] | None, count: int) -> tuple[str, ...] | None:
     if names is None:
         return None
-    if isinstance(names, str):
-        raise ValueError(f"{what} must be a list of names, not one string")
+    names = list(names)
     if len(names) != count:
         raise ValueError(f"{what}: expected {count} names, got {len(names)}")
     return tuple(str(name) for name in names)
@@ -117,7 +137,7 @@ def plain_array(what: str, values: Any) -> NDArray[Any]:
     array = _array(what, values)
     if np.ma.isMaskedArray(array) and np.ma.getmaskarray(array).any():
         place = ", ".join(map(str, np.argwhere(np.ma.getmaskarray(array))[0]))
-        raise ValueError(f"{what}[{place}] is masked; only actions can be missing")
+        raise ValueError(f"{what}[{place}] is masked, and must be known")
     return np.asarray(array)
 
 
@@ -142,7 +162,9 @@ def read_fraction(text: str) -> Fraction:
     try:
         return Fraction(text)
     except (ValueError, ZeroDivisionError):
-        raise ValueError(f"'{text}' is not a fraction") from None
+        raise ValueError(
+            f"'{text if len(text) < 80 else text[:40] + '...'}' is not a fraction"
+        ) from None
 
 
 def mendable(total: Any, entries: Any) -> Any:
@@ -168,7 +190,11 @@ def shown(number: Any) -> str:
     if max(number.numerator.bit_length(), number.denominator.bit_length()) <= 200:
         return str(number)
     exponent = number.numerator.bit_length() - number.denominator.bit_length()
-    return f"about {float(number):.12g}" if exponent < 1000 else f"about 2**{exponent}"
+    return (
+        f"about {float(number):.12g}"
+        if exponent < 1000
+        else f"about {'-' * (number < 0)}2**{exponent}"
+    )
 
 
 def mend_rows(row: Integers, probability: NDArray[Any]) -> tuple[NDArray[Any], int]:
@@ -232,25 +258,29 @@ def successor_table(next_state: ArrayLike, fail: ArrayLike) -> NDArray[Any]:
         ValueError: if it is none, or looks like (A, S).
     """
     table = _array("next_state", next_state)
+    states = plain_array("fail", fail).shape
     if table.ndim != 2 or table.shape[1] == 0:
         raise ValueError(
             f"next_state must have shape (S, A) with at least one action, not {table.shape}"
         )
     if table.dtype.kind not in "iu":
         raise ValueError(f"next_state must hold integers, not {table.dtype}")
-    if table.shape[0] != table.shape[1] and np.shape(fail) == table.shape[1:]:
+    if table.shape[0] != table.shape[1] and states == table.shape[1:]:
         raise ValueError(
             f"fail must have shape ({table.shape[0]},), not {table.shape[1:]}; "
             "if next_state is (A, S), pass next_state.T"
         )
     if np.ma.isMaskedArray(table):
-        signed = np.minimum(np.asarray(table), np.iinfo(np.int64).max).astype(np.int64)
+        values = np.asarray(table)
+        signed = np.where(values > MAX_STATES, MAX_STATES, values.astype(np.int64))
         return np.where(np.ma.getmaskarray(table), -1, signed)
     return np.asarray(table)
 
 
 def transition_array(P: Any) -> Any:
     """P as it is if it is sparse, else as an array, with its mask if it has one."""
+    if isinstance(P, list | tuple) and any(hasattr(part, "tocsr") for part in P):
+        raise ValueError("P is a list of sparse matrices; it must be one, with row s*A + a")
     return P if isinstance(P, ExactEntries) or hasattr(P, "tocsr") else _array("P", P)
 
 

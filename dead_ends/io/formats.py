@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from dead_ends.io.transitions import Condition
 from dead_ends.model import SafeMDP
+from dead_ends.model_input import require_type
 
 if TYPE_CHECKING:
     from dead_ends.io.explicit import Failure
@@ -114,6 +115,7 @@ def save_model(path: str | os.PathLike[str], model: SafeMDP) -> None:
             exist.
         OSError: if the file cannot be written; then nothing is left behind.
     """
+    require_type(model, SafeMDP, "save_model")
     writer = _WRITERS.get(Path(path).suffix.lower())
     if writer is None:
         raise ValueError(f"{path}: models are written as {', '.join(_WRITERS)}")

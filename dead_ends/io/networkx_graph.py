@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from dead_ends.io.transitions import Condition, Transitions, build_model
 from dead_ends.model import SafeMDP
+from dead_ends.model_input import require_type
 
 __all__ = ["from_networkx", "to_networkx"]
 
@@ -81,6 +82,7 @@ def to_networkx(model: SafeMDP) -> Any:
     ``initial``; edges ``action`` (the name, or the number) and ``probability``, a Fraction if
     the model is exact. Fail and terminal states have no edges.
     """
+    require_type(model, SafeMDP, "to_networkx")
     graph: Any = nx.MultiDiGraph()
     initial = np.zeros(model.num_states) if model.initial is None else model.initial
     for state in range(model.num_states):

@@ -96,12 +96,19 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
                     require_memory(entry.file_size, f"{path}: the array {entry.filename}")
                 for name in archive.files:
                     with located(f"{path}: array '{name}'"):
-                        arrays[name] = archive[name]
+                        arrays[name] = _read(archive, name)
                         if not isinstance(arrays[name], np.ndarray):
                             raise ValueError("not an array")
         except (zipfile.BadZipFile, zlib.error, EOFError, KeyError) as error:
             raise ValueError(f"{path}: damaged npz file: {error}") from None
     return arrays
+
+
+def _read(archive: Any, name: str) -> Any:
+    try:
+        return archive[name]
+    except (MemoryError, OverflowError) as error:  # of a shape that nothing can have
+        raise ValueError(str(error)) from None
 
 
 def _read_model(arrays: Arrays, normalise: bool) -> SafeMDP:

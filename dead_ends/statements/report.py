@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from dead_ends.bellman import evaluate_policy, value_iteration
 from dead_ends.labels import classify
 from dead_ends.model import SafeMDP
+from dead_ends.model_input import require_type
 from dead_ends.policies import allowed_actions, greedy_actions, recovery_policy
 from dead_ends.policy_input import as_distribution, check_policy
 from dead_ends.results import INFINITE, Labelling, Values
@@ -122,6 +123,7 @@ def verify_report(
         ValueError: for a discount outside (0, 1], a policy that is none of this model, or an
             epsilon_safe that is not positive.
     """
+    require_type(model, SafeMDP, "verify_report")
     if epsilon_safe is not None and not epsilon_safe > 0:
         raise ValueError(f"epsilon_safe must be positive, not {epsilon_safe}")
     exact = None if model.is_deterministic or model.available.size > EXACT_PAIRS else True
