@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from dead_ends.cells import COLORS, LINES, coordinates, draw_labels, extent_cells, geometry_of
-from dead_ends.model import Geometry, SafeMDP
-from dead_ends.model_input import require_type
+from dead_ends.model import Geometry, SafeMDP, require_type
 from dead_ends.results import INFINITE, Label, Labelling
 
 __all__ = ["Run", "animate_runs"]

@@ -27,8 +27,7 @@ from dead_ends.io.atomic import atomic_path
 from dead_ends.io.errors import located
 from dead_ends.io.npz import read_arrays
 from dead_ends.labels import classify, safe_actions
-from dead_ends.model import SafeMDP
-from dead_ends.model_input import require_type
+from dead_ends.model import SafeMDP, require_type
 from dead_ends.results import Labelling
 
 __all__ = ["certify", "load_certificate", "save_certificate"]

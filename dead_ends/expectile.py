@@ -41,8 +41,7 @@ from dead_ends.bellman import (
 from dead_ends.conventions import CriticConvention, ValueConvention
 from dead_ends.critic import Known, Settings, from_equations, from_operator, from_times
 from dead_ends.discount import Discount
-from dead_ends.model import SafeMDP
-from dead_ends.model_input import require_type
+from dead_ends.model import SafeMDP, require_type
 from dead_ends.operators import unknown_rows
 from dead_ends.policy_input import (
     as_distribution,

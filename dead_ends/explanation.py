@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from dead_ends.bellman import value_iteration
 from dead_ends.labels import classify, safe_actions
-from dead_ends.model import SafeMDP
-from dead_ends.model_input import require_type
+from dead_ends.model import SafeMDP, require_type
 from dead_ends.policies import recovery_policy
 from dead_ends.results import INFINITE, Label, Labelling
 

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dead_ends.memory import require_memory
-from dead_ends.model import SafeMDP
-from dead_ends.model_input import require_type
+from dead_ends.model import SafeMDP, require_type
 from dead_ends.results import INFINITE, Label, Labelling
 
 __all__ = ["INFINITE", "Label", "classify", "safe_actions"]

@@ -27,8 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from dead_ends.bellman import evaluate_policy, value_iteration
 from dead_ends.expectile import expectile_iteration
 from dead_ends.labels import classify, safe_actions
-from dead_ends.model import SafeMDP
-from dead_ends.model_input import require_type
+from dead_ends.model import SafeMDP, require_type
 from dead_ends.policies import Critic, allowed_actions, recovery_policy
 from dead_ends.results import Values
 

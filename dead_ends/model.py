@@ -38,7 +38,6 @@ from dead_ends.model_input import (
     named,
     plain_array,
     read_only,
-    require_type,
     reward_table,
     successor_table,
     transition_array,
@@ -47,7 +46,7 @@ from dead_ends.model_input import (
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["Geometry", "SafeMDP"]
+__all__ = ["Geometry", "SafeMDP", "require_type"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,3 +326,23 @@ def _geometry(geometry: Geometry | None, num_states: int, num_actions: int) -> G
     if geometry.arrows is not None and len(geometry.arrows) != num_actions:
         raise ValueError(f"geometry: expected {num_actions} arrows, got {len(geometry.arrows)}")
     return geometry
+
+
+def require_type(value: object, kind: type, where: str) -> None:
+    """Refuse what a function cannot take.
+
+    Raises:
+        TypeError: naming the type wanted, and what makes it.
+    """
+    if not isinstance(value, kind):
+        made = _MADE_BY.get(kind.__name__, "")
+        raise TypeError(f"{where} takes a {kind.__name__}{made}, not {type(value).__name__}")
+
+
+_MADE_BY = {
+    "SafeMDP": " (SafeMDP.deterministic and SafeMDP.stochastic make one of arrays)",
+    "Values": " (value_iteration and evaluate_policy make them)",
+    "Labelling": " (classify makes one)",
+    "Certificate": " (certify makes one)",
+    "ExpectedSurvival": " (expected_survival makes one)",
+}

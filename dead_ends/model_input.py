@@ -31,7 +31,6 @@ __all__ = [
     "plain_array",
     "read_fraction",
     "read_only",
-    "require_type",
     "reward_table",
     "shown",
     "successor_table",
@@ -64,26 +63,6 @@ class ExactEntries:
     column: Integers
     value: NDArray[np.object_]
     shape: tuple[int, int]
-
-
-def require_type(value: object, kind: type, where: str) -> None:
-    """Refuse what a function cannot take.
-
-    Raises:
-        TypeError: naming the type wanted, and what makes it.
-    """
-    if not isinstance(value, kind):
-        made = _MADE_BY.get(kind.__name__, "")
-        raise TypeError(f"{where} takes a {kind.__name__}{made}, not {type(value).__name__}")
-
-
-_MADE_BY = {
-    "SafeMDP": " (SafeMDP.deterministic and SafeMDP.stochastic make one of arrays)",
-    "Values": " (value_iteration and evaluate_policy make them)",
-    "Labelling": " (classify makes one)",
-    "Certificate": " (certify makes one)",
-    "ExpectedSurvival": " (expected_survival makes one)",
-}
 
 
 def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:

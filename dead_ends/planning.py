@@ -30,8 +30,8 @@ from numpy.typing import ArrayLike, NDArray
 from dead_ends.bellman import evaluate_policy, value_iteration
 from dead_ends.correction import corrected_model
 from dead_ends.labels import classify
-from dead_ends.model import SafeMDP
-from dead_ends.model_input import plain_array, require_type
+from dead_ends.model import SafeMDP, require_type
+from dead_ends.model_input import plain_array
 from dead_ends.policies import allowed_actions
 from dead_ends.results import Values
 

@@ -31,8 +31,7 @@ from dead_ends.cells import (
     geometry_of,
     outline,
 )
-from dead_ends.model import Geometry, SafeMDP
-from dead_ends.model_input import require_type
+from dead_ends.model import Geometry, SafeMDP, require_type
 from dead_ends.results import INFINITE, Label, Labelling
 
 __all__ = ["Blocked", "Boundary", "plot_boundaries", "plot_map"]

@@ -26,8 +26,7 @@ from dead_ends.certificate import certify
 from dead_ends.checker import Certificate
 from dead_ends.conventions import CriticConvention, ValueConvention
 from dead_ends.labels import classify
-from dead_ends.model import Geometry, SafeMDP
-from dead_ends.model_input import require_type
+from dead_ends.model import Geometry, SafeMDP, require_type
 from dead_ends.results import INFINITE, Label, Labelling, Values
 from dead_ends.thresholds import threshold_interval
 

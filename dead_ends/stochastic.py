@@ -42,8 +42,7 @@ from dead_ends.conventions import CriticConvention, ValueConvention
 from dead_ends.enclosure import check_width, enclose
 from dead_ends.exact import ExactProblem, exact_rows
 from dead_ends.labels import classify
-from dead_ends.model import SafeMDP
-from dead_ends.model_input import require_type
+from dead_ends.model import SafeMDP, require_type
 from dead_ends.operators import Optimum, unknown_rows
 from dead_ends.results import INFINITE, Values
 from dead_ends.rounding import RoundedKernel

@@ -39,8 +39,7 @@ from dead_ends.bellman import value_iteration
 from dead_ends.conventions import CriticConvention, ValueConvention
 from dead_ends.discount import Discount, Powers, power, read_discount
 from dead_ends.labels import classify, safe_actions
-from dead_ends.model import SafeMDP
-from dead_ends.model_input import require_type
+from dead_ends.model import SafeMDP, require_type
 
 __all__ = ["ThresholdInterval", "threshold_interval"]
 

@@ -17,8 +17,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from dead_ends.model import Geometry, SafeMDP
-from dead_ends.model_input import require_type
+from dead_ends.model import Geometry, SafeMDP, require_type
 
 __all__ = ["SafeMDPEnv"]
 

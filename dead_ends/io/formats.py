@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from dead_ends.io.transitions import Condition
-from dead_ends.model import SafeMDP
-from dead_ends.model_input import require_type
+from dead_ends.model import SafeMDP, require_type
 
 if TYPE_CHECKING:
     from dead_ends.io.explicit import Failure

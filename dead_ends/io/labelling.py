@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from dead_ends.io.atomic import atomic_path
-from dead_ends.model import SafeMDP
-from dead_ends.model_input import require_type
+from dead_ends.model import SafeMDP, require_type
 from dead_ends.results import INFINITE, Label, Labelling
 
 __all__ = ["save_labelling"]

@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dead_ends.io.transitions import Condition, Transitions, build_model
-from dead_ends.model import SafeMDP
-from dead_ends.model_input import require_type
+from dead_ends.model import SafeMDP, require_type
 
 __all__ = ["from_networkx", "to_networkx"]
 

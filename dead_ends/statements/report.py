@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dead_ends.bellman import evaluate_policy, value_iteration
 from dead_ends.labels import classify
-from dead_ends.model import SafeMDP
-from dead_ends.model_input import require_type
+from dead_ends.model import SafeMDP, require_type
 from dead_ends.policies import allowed_actions, greedy_actions, recovery_policy
 from dead_ends.policy_input import as_distribution, check_policy
 from dead_ends.results import INFINITE, Labelling, Values
