@@ -94,6 +94,14 @@ def test_fractions_are_kept(tmp_path: Path) -> None:
     assert model.exact == (Fraction(1, 3), Fraction(2, 3))
 
 
+@pytest.mark.parametrize("absurd", ["1e-999999999", "1/" + "9" * 5000])
+def test_fractions_with_pages_of_digits_are_refused_soon(absurd: str, tmp_path: Path) -> None:
+    tra = f"2 3\n0 0 1/3\n0 1 {absurd}\n1 1 1\n"
+    with pytest.raises(ValueError, match=r"model.tra: line 3: '1\S*' (has too|is not)") as caught:
+        load_prism(write(tmp_path, tra, None, None), Failure(states=[1]))
+    assert len(str(caught.value)) < 300
+
+
 def test_which_states_fail(tmp_path: Path) -> None:
     path = write(tmp_path)
     assert load_model(path, fail_states=[3]).fail.tolist() == [False, False, False, True]
