@@ -28,6 +28,7 @@ from dead_ends.bellman import evaluate_policy, value_iteration
 from dead_ends.expectile import expectile_iteration
 from dead_ends.labels import classify, safe_actions
 from dead_ends.model import SafeMDP, require_type
+from dead_ends.model_input import plain_array
 from dead_ends.policies import Critic, allowed_actions, recovery_policy
 from dead_ends.results import Values
 
@@ -149,7 +150,7 @@ def dea_rrl(
             "dea_rrl: at gamma_safe = 1 evaluating and improving in turn can stall; "
             "value_iteration solves that case"
         )
-    policy = model.available.argmax(axis=1) if start is None else np.asarray(start)
+    policy = model.available.argmax(axis=1) if start is None else plain_array("start", start)
     while True:
         critic = evaluate_policy(model, policy, gamma_safe)
         improved = _improve(critic, policy)

@@ -299,7 +299,7 @@ def _safe_states(safe: NDArray[np.bool_] | None, Q: Critic, num_states: int) -> 
         from dead_ends.labels import classify
 
         return classify(Q.model).paper_safe
-    mask = np.asarray(safe)
+    mask = plain_array("safe", safe)
     if mask.dtype != np.bool_ or mask.shape != (num_states,):
         raise ValueError(
             f"safe must be a boolean mask of shape ({num_states},), "

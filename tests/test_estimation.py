@@ -220,3 +220,19 @@ def test_no_fail_state_is_needed_where_nothing_is_guessed() -> None:
     data = np.array([[0, 0, 0], [0, 1, 0]])
     model = estimate_model(1, 2, data, np.array([False]))
     assert classify(model).safe.tolist() == [True]
+
+
+@pytest.mark.parametrize("name", ["transitions", "fail", "rewards", "terminated"])
+def test_nothing_may_be_masked(name: str) -> None:
+    """What is masked is not known; read as if it were, it would be a transition."""
+    log: dict[str, Any] = {
+        "transitions": np.array([[0, 0, 1], [0, 1, 0]]),
+        "fail": np.array([False, True]),
+        "rewards": np.zeros(2),
+        "terminated": np.zeros(2, dtype=bool),
+    }
+    mask = np.zeros(log[name].shape, dtype=bool)
+    mask[1] = True
+    log[name] = np.ma.array(log[name], mask=mask)
+    with pytest.raises(ValueError, match=rf"^{name}\[1(, 0)?\] is masked"):
+        estimate_model(2, 2, **log)

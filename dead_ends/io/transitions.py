@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from dead_ends.io.condition import evaluate_condition
 from dead_ends.io.errors import warn_no_failure
 from dead_ends.model import Geometry, SafeMDP
-from dead_ends.model_input import ExactEntries, mend_rows
+from dead_ends.model_input import ExactEntries, mend_rows, plain_array
 
 __all__ = ["Condition", "Transitions", "build_model", "state_mask", "violations"]
 
@@ -109,7 +109,7 @@ def state_mask(states: ArrayLike, num_states: int) -> NDArray[np.bool_]:
     Raises:
         ValueError: if there is no such state.
     """
-    array = np.asarray(states)
+    array = plain_array("fail_states", states)
     if array.dtype == np.bool_:
         if array.shape != (num_states,):
             raise ValueError(f"fail states: a mask must have shape ({num_states},)")

@@ -172,6 +172,8 @@ def test_state_mask() -> None:
     for states, message in (([3], "3 is not a state"), ([-1], "-1 is not"), ([0.5], "0.5 is not")):
         with pytest.raises(ValueError, match=f"fail states: {message}"):
             state_mask(states, 3)
+    with pytest.raises(ValueError, match=r"^fail_states\[1\] is masked, and must be known$"):
+        state_mask(np.ma.array([True, False], mask=[False, True]), 2)
     with pytest.raises(ValueError, match=r"a mask must have shape \(3,\)"):
         state_mask([True], 3)
 
