@@ -158,6 +158,8 @@ def test_variables_of_states_say_which_fail(tmp_path: Path) -> None:
     assert fail("not open") == [False, False, True, False]
     assert fail("model.s == 3 and x in [0, 1]") == [False, True, False, False]
     assert fail("s2 == 3") == [False, False, False, False, True]
+    both = load_model(path, fail_if="not open", fail_label="crash")
+    assert both.fail.tolist() == [False, True, True, False]
     with pytest.warns(NoFailureWarning, match="no state satisfies 'x > 2'"):
         assert fail("x > 2") == [False] * 4
     for condition, message in (
