@@ -52,16 +52,18 @@ _NO_LABEL = "__NOLABEL__"
 """What Storm writes for a choice without a label."""
 
 
-def load_drn(path: str | os.PathLike[str], failure: Failure | None = None) -> SafeMDP:
+def load_drn(
+    path: str | os.PathLike[str], failure: Failure | None = None, *, normalise: bool = False
+) -> SafeMDP:
     """The model in a DRN file.
 
     Raises:
         ValueError: naming the file and line at fault.
         OSError: if there is no such file.
     """
-    explicit = read_drn(path)
+    explicit = read_drn(path, normalise=normalise)
     with located(path):
-        return explicit_model(explicit, failure or Failure())
+        return explicit_model(explicit, failure or Failure(), normalise)
 
 
 def save_drn(path: str | os.PathLike[str], model: SafeMDP) -> None:
@@ -114,7 +116,7 @@ class _Header:
     """The line after @model."""
 
 
-def read_drn(path: str | os.PathLike[str]) -> Explicit:
+def read_drn(path: str | os.PathLike[str], *, normalise: bool = False) -> Explicit:
     """What a DRN file says, before it is decided which states fail.
 
     Raises:
@@ -140,7 +142,7 @@ def read_drn(path: str | os.PathLike[str]) -> Explicit:
     places = tokens.first[moves]
     target = read_states(tokens, places, header.num_states)
     probability = tokens.numbers(places + 2, "a probability")
-    check_distributions(tokens, moves, owner[of_action], choice[of_action], probability)
+    check_distributions(tokens, moves, owner[of_action], choice[of_action], probability, normalise)
     names, name = _action_names(tokens, actions)
     return Explicit(
         source=owner[of_action],

@@ -15,15 +15,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dead_ends.io.condition import NAMES, evaluate_condition, names_in
+from dead_ends.io.errors import warn_no_failure
 from dead_ends.io.transitions import Condition, Transitions, build_model, state_mask
 from dead_ends.model import SafeMDP
-from dead_ends.model_input import ROW_SUM_TOLERANCE
+from dead_ends.model_input import ROW_SUM_TOLERANCE, mendable, not_one
 
 if TYPE_CHECKING:
     from dead_ends.io.tokens import Tokens
@@ -52,30 +54,82 @@ MAX_NAMED_ACTIONS = 64
 class Failure:
     """Which states of a labelled model fail; several say so together.
 
+    What selects no state is warned of: failure by it is impossible.
+
     Attributes:
-        label: the name of a label; "fail" if nothing is said.
+        label: the name of a label, or several of them; "fail" if nothing is said.
         states: a mask (S,) or numbers of states.
-        condition: on (s, a, s'); see :mod:`dead_ends.io.condition`.
+        condition: on (s, a, s'), or on the variables of states; see
+            :mod:`dead_ends.io.condition`.
     """
 
-    label: str | None = None
+    label: str | Sequence[str] | None = None
     states: ArrayLike | None = None
     condition: Condition | None = None
 
-    def mask(self, labels: Mapping[str, Mask], num_states: int) -> Mask:
-        """bool (S,): the fail states among those of the file."""
-        result = np.zeros(num_states, dtype=np.bool_)
+    def among(self, explicit: Explicit) -> tuple[Mask, Condition | None]:
+        """The fail states of the file, bool (S,), and the condition on its transitions."""
+        result = np.zeros(explicit.num_states, dtype=np.bool_)
+        for label in self._labels(explicit.labels):
+            result |= explicit.labels[label]
+            if not explicit.labels[label].any():
+                warn_no_failure(f"no state carries the label '{label}'")
+        if self.states is not None:
+            result |= state_mask(self.states, explicit.num_states)
+        text = self.condition
+        if not isinstance(text, str) or not _speaks_of_states(text, explicit.variables):
+            return result, self.condition
+        chosen = evaluate_condition(text, _columns(explicit.variables))
+        if not chosen.any():
+            warn_no_failure(f"no state satisfies {text!r}")
+        return result | chosen, None
+
+    def _labels(self, declared: Mapping[str, Mask]) -> Sequence[str]:
         silent = self.label is None and self.states is None and self.condition is None
-        label = "fail" if silent else self.label
-        if label is not None:
-            if label not in labels:
-                known = ", ".join(labels) or "none"
+        labels = "fail" if silent else () if self.label is None else self.label
+        labels = [labels] if isinstance(labels, str) else labels
+        for label in labels:
+            if label not in declared:
+                known = ", ".join(declared) or "none"
                 hint = "; say which states fail (--fail-label NAME)" if silent else ""
                 raise ValueError(f"no label '{label}' (labels: {known}){hint}")
-            result |= labels[label]
-        if self.states is not None:
-            result |= state_mask(self.states, num_states)
-        return result
+        return labels
+
+
+def _columns(variables: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The variables as a condition names them."""
+    plain = {name: values for name, values in variables.items() if name not in NAMES}
+    return plain | {f"model.{name}": values for name, values in variables.items()}
+
+
+def _speaks_of_states(text: str, variables: Mapping[str, NDArray[Any]]) -> bool:
+    """Whether a condition is one on the variables of states, and not on transitions.
+
+    Raises:
+        ValueError: if it is on both, names neither, or is ambiguous.
+    """
+    names = names_in(text)
+    known = _columns(variables)
+    own = [name for name in names if name in known]
+    others = [name for name in names if name not in known]
+    both = [name for name in others if name in variables]
+    if both:
+        raise ValueError(
+            f"condition {text!r}: '{both[0]}' is a variable of the model too; "
+            f"write model.{both[0]} for the variable"
+        )
+    unknown = [name for name in others if name not in NAMES]
+    if variables and unknown:
+        raise ValueError(
+            f"condition {text!r}: unknown name '{unknown[0]}' "
+            f"(known here: s, a, s2, or the variables {', '.join(variables)})"
+        )
+    if own and others:
+        raise ValueError(
+            f"condition {text!r}: '{own[0]}' says which states fail and '{others[0]}' which "
+            "transitions; one condition can say one of them"
+        )
+    return bool(own)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +144,7 @@ class Explicit:
         choice_names: the different labels of choices.
         choice_name: (N,) which of them each transition's choice has; -1: none.
         state_names: S names or None.
+        variables: (S,) the values that the model's variables have, by name.
     """
 
     source: Integers
@@ -101,16 +156,17 @@ class Explicit:
     choice_names: Sequence[str]
     choice_name: Integers
     state_names: tuple[str, ...] | None
+    variables: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
 
-def explicit_model(explicit: Explicit, failure: Failure) -> SafeMDP:
-    """The safe MDP of a labelled model.
+def explicit_model(explicit: Explicit, failure: Failure, normalise: bool = False) -> SafeMDP:
+    """The safe MDP of a labelled model; ``normalise`` as in :func:`build_model`.
 
     Raises:
         ValueError: if there is no such label, or naming the state and action at fault.
     """
     action, names = _actions(explicit)
-    fail = failure.mask(explicit.labels, explicit.num_states)
+    fail, condition = failure.among(explicit)
     transitions = Transitions(
         source=explicit.source,
         action=action,
@@ -123,7 +179,7 @@ def explicit_model(explicit: Explicit, failure: Failure) -> SafeMDP:
         state_names=explicit.state_names,
         action_names=names,
     )
-    return build_model(transitions, failure.condition)
+    return build_model(transitions, condition, normalise=normalise)
 
 
 def read_states(tokens: Tokens, places: Integers, num_states: int, trim: int = 0) -> Integers:
@@ -147,8 +203,9 @@ def check_distributions(
     source: Integers,
     choice: Integers,
     probability: NDArray[Any],
+    normalise: bool = False,
 ) -> None:
-    """Check that the probabilities of each choice are a distribution.
+    """Check that the probabilities of each choice are a distribution, or can be normalised.
 
     Raises:
         ValueError: naming the file and line (the first of the choice), state and choice.
@@ -164,17 +221,20 @@ def check_distributions(
     if len(negative):
         raise fail(int(negative[0]), f"negative probability {probability[negative[0]]}")
     row = source * (int(choice.max()) + 1) + choice
+    entries = np.bincount(row[probability != 0], minlength=int(row.max()) + 1)
     if probability.dtype == object:
-        exact_total = np.zeros(int(row.max()) + 1, dtype=object)
-        np.add.at(exact_total, row, probability)
-        wrong = np.flatnonzero(exact_total[row] != 1)
-        if len(wrong):
-            raise fail(wrong[0], f"probabilities sum to {exact_total[row[wrong[0]]]}, not 1")
-        return
-    total = np.bincount(row, probability)
-    wrong = np.flatnonzero(np.abs(total[row] - 1) > ROW_SUM_TOLERANCE)
+        total = np.zeros(len(entries), dtype=object)
+        np.add.at(total, row, probability)
+        off = total != 1
+    else:
+        total = np.bincount(row, probability)
+        off = np.abs(total - 1) > ROW_SUM_TOLERANCE
+    if normalise:
+        off &= ~mendable(total, entries).astype(np.bool_)
+    wrong = np.flatnonzero(off[row])
     if len(wrong):
-        raise fail(wrong[0], f"probabilities sum to {total[row[wrong[0]]]:.12g}, not 1")
+        at = row[wrong[0]]
+        raise fail(wrong[0], not_one(total[at], int(entries[at])))
 
 
 def count_distinct(values: Integers) -> int:

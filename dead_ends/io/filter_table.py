@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from dead_ends.io.atomic import atomic_path
 from dead_ends.io.errors import located
 from dead_ends.io.npz import read_arrays
+from dead_ends.model_input import plain_array
 
 __all__ = ["FilterTable", "load_filter", "save_filter"]
 
@@ -73,7 +74,9 @@ def save_filter(
         ValueError: for another suffix, a wrong array or metadata that is not JSON.
     """
     write = {".npz": _write_npz, ".json": _write_json}[_suffix(path)]
-    table = FilterTable(np.asarray(allowed), np.asarray(recovery), metadata or {})
+    table = FilterTable(
+        plain_array("allowed", allowed), plain_array("recovery", recovery), metadata or {}
+    )
     try:
         description = json.dumps(dict(table.metadata))
     except TypeError as error:

@@ -59,6 +59,7 @@ def load_gymnasium(
     fail_states: ArrayLike | None = None,
     fail_if: Condition | None = None,
     arguments: Mapping[str, Any] | None = None,
+    normalise: bool = False,
 ) -> SafeMDP:
     """The model of an environment with a table ``P``.
 
@@ -73,6 +74,7 @@ def load_gymnasium(
         fail_if: a condition on (s, a, r, s'), as text or a function; the transitions that
             satisfy it lead to one added fail state.
         arguments: for ``gymnasium.make``.
+        normalise: as in :meth:`dead_ends.SafeMDP.stochastic`.
 
     Raises:
         ValueError: naming the environment, and the state and action at fault.
@@ -100,7 +102,8 @@ def load_gymnasium(
         if fail_states is not None:
             transitions = replace(transitions, fail=state_mask(fail_states, transitions.num_states))
         estimate = isinstance(own, SafeMDP) and own.estimate
-        return replace(build_model(transitions, fail_if), estimate=estimate)
+        model = build_model(transitions, fail_if, normalise=normalise)
+        return replace(model, estimate=estimate)
 
 
 def environment_name(environment: Any) -> str:

@@ -4,8 +4,8 @@
 a line "state choice successor probability [action]" or "state successor probability" a
 transition. ``.lab`` begins with the labels, ``0="init" 1="deadlock" 2="crash"``, then has a line
 "state: label label ..." a state with labels. ``.sta``, optional, begins with the variables,
-``(x,y)``, then has a line "state:(value,value)" a state. The three lie side by side and differ
-in their suffix.
+``(x,y)``, then has a line "state:(value,value)" a state; a condition may use them.
+The three lie side by side and differ in their suffix.
 """
 
 from __future__ import annotations
@@ -13,11 +13,13 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dead_ends.io.atomic import atomic_path
 from dead_ends.io.errors import located
@@ -48,7 +50,9 @@ _NAMES_HEADER = "(name)"
 """The header of our own .sta files: one variable, whose values are the states' names."""
 
 
-def load_prism(path: str | os.PathLike[str], failure: Failure | None = None) -> SafeMDP:
+def load_prism(
+    path: str | os.PathLike[str], failure: Failure | None = None, *, normalise: bool = False
+) -> SafeMDP:
     """The model in a .tra file, with the .lab and .sta files beside it if there are any.
 
     Raises:
@@ -56,14 +60,15 @@ def load_prism(path: str | os.PathLike[str], failure: Failure | None = None) -> 
         OSError: if there is no such file.
         MemoryError: if the first line announces more states than fit the memory.
     """
-    explicit = _read_transitions(Tokens(path))
+    explicit = _read_transitions(Tokens(path), normalise)
     labels, names = Path(path).with_suffix(".lab"), Path(path).with_suffix(".sta")
     if labels.exists():
         explicit = replace(explicit, labels=_read_labels(Tokens(labels), explicit.num_states))
     if names.exists():
-        explicit = replace(explicit, state_names=_read_names(Tokens(names), explicit.num_states))
+        table = _read_values(Tokens(names), explicit.num_states)
+        explicit = replace(explicit, state_names=_state_names(table), variables=_variables(table))
     with located(path):
-        return explicit_model(explicit, failure or Failure())
+        return explicit_model(explicit, failure or Failure(), normalise)
 
 
 def save_prism(path: str | os.PathLike[str], model: SafeMDP) -> None:
@@ -100,7 +105,7 @@ def _content(tokens: Tokens) -> tuple[Integers, Integers]:
     return lines, tokens.first[lines]
 
 
-def _read_transitions(tokens: Tokens) -> Explicit:
+def _read_transitions(tokens: Tokens, normalise: bool) -> Explicit:
     lines, first = _content(tokens)
     header = np.arange(tokens.first[lines[0]], tokens.first[lines[0] + 1])
     if len(header) not in (2, 3):
@@ -129,7 +134,7 @@ def _read_transitions(tokens: Tokens) -> Explicit:
     target = read_states(tokens, first + width - 2, num_states)
     probability = tokens.numbers(first + width - 1, "a probability")
     _check_choices(tokens, lines, source, choice, sizes[1] if is_mdp else None)
-    check_distributions(tokens, lines, source, choice, probability)
+    check_distributions(tokens, lines, source, choice, probability, normalise)
     named = counts == width + 1
     choice_name = np.full(len(source), -1, dtype=np.int64)
     names, choice_name[named] = tokens.distinct((first + width)[named])
@@ -194,33 +199,51 @@ def _label_numbers(tokens: Tokens, line: int) -> dict[int, str]:
     return numbers
 
 
-def _read_names(tokens: Tokens, num_states: int) -> tuple[str, ...]:
+def _read_values(tokens: Tokens, num_states: int) -> dict[str, list[str]]:
+    """The values of each variable, S texts a variable."""
     lines, _ = _content(tokens)
     header = tokens.line_text(int(lines[0]))
     if not (header.startswith("(") and header.endswith(")")):
         raise tokens.error(int(lines[0]), "expected the variables, such as (x,y)")
-    variables = None if header == _NAMES_HEADER else header[1:-1].split(",")
-    names: list[str | None] = [None] * num_states
+    variables = header[1:-1].split(",")
+    twice = [name for name in variables if variables.count(name) > 1]
+    if twice:
+        raise tokens.error(int(lines[0]), f"two variables are called '{twice[0]}'")
+    rows: list[list[str] | None] = [None] * num_states
     for line in lines[1:].tolist():
         number, colon, values = tokens.line_text(line).partition(":")
         if not (number.isdecimal() and colon and values[:1] == "(" and values[-1:] == ")"):
             raise tokens.error(line, "expected 'state:(value,value,...)'")
         if int(number) >= num_states:
             raise tokens.error(line, f"state {number} does not exist (0 to {num_states - 1})")
-        names[int(number)] = (
-            values[1:-1]
-            if variables is None
-            else _named(tokens, line, variables, values[1:-1].split(","))
-        )
-    if None in names:
-        raise ValueError(f"{tokens.path}: state {names.index(None)} is missing")
-    return tuple(str(name) for name in names)
+        row = [values[1:-1]] if header == _NAMES_HEADER else values[1:-1].split(",")
+        if len(row) != len(variables):
+            raise tokens.error(line, f"expected {len(variables)} values, not {len(row)}")
+        rows[int(number)] = row
+    if None in rows:
+        raise ValueError(f"{tokens.path}: state {rows.index(None)} is missing")
+    columns = zip(*(row for row in rows if row is not None), strict=True)
+    return {name: list(column) for name, column in zip(variables, columns, strict=True)}
 
 
-def _named(tokens: Tokens, line: int, variables: list[str], values: list[str]) -> str:
-    if len(values) != len(variables):
-        raise tokens.error(line, f"expected {len(variables)} values, not {len(values)}")
-    return ",".join(f"{name}={value}" for name, value in zip(variables, values, strict=True))
+def _state_names(table: dict[str, list[str]]) -> tuple[str, ...]:
+    """States are called by their variables, or by their names in files of ours."""
+    if f"({','.join(table)})" == _NAMES_HEADER:
+        return tuple(table["name"])
+    columns = [[f"{name}={value}" for value in values] for name, values in table.items()]
+    return tuple(",".join(row) for row in zip(*columns, strict=True))
+
+
+def _variables(table: dict[str, list[str]]) -> dict[str, NDArray[Any]]:
+    """The variables whose values are all true or false, or all numbers."""
+    columns = {}
+    for name, values in table.items():
+        if set(values) <= {"true", "false"}:
+            columns[name] = np.array(values) == "true"
+        else:
+            with suppress(ValueError):  # texts
+                columns[name] = np.array(values).astype(np.float64)
+    return columns
 
 
 def _check_names(path: str | os.PathLike[str], model: SafeMDP) -> None:

@@ -14,13 +14,14 @@ from __future__ import annotations
 
 import os
 import re
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from dead_ends.model_input import read_fraction
 
 __all__ = ["Tokens"]
 
@@ -150,7 +151,10 @@ class Tokens:
             raw = self.raw(token)
             if not (_NUMBER.fullmatch(raw) or _FRACTION.fullmatch(raw)):
                 raise self.error_at(token, f"'{self.text(token)}' is not {what}")
-            values[place] = Fraction(raw.decode())
+            try:
+                values[place] = read_fraction(raw.decode())
+            except ValueError as error:
+                raise self.error_at(token, str(error)) from None
         return values
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dead_ends.io import load_model, save_model
+from dead_ends.io import NoFailureWarning, load_model, save_model
 from dead_ends.io.explicit import Failure
 from dead_ends.io.prism import load_prism
 from dead_ends.labels import classify
@@ -94,6 +94,14 @@ def test_fractions_are_kept(tmp_path: Path) -> None:
     assert model.exact == (Fraction(1, 3), Fraction(2, 3))
 
 
+@pytest.mark.parametrize("absurd", ["1e-999999999", "1/" + "9" * 5000])
+def test_fractions_with_pages_of_digits_are_refused_soon(absurd: str, tmp_path: Path) -> None:
+    tra = f"2 3\n0 0 1/3\n0 1 {absurd}\n1 1 1\n"
+    with pytest.raises(ValueError, match=r"model.tra: line 3: '1\S*' (has too|is not)") as caught:
+        load_prism(write(tmp_path, tra, None, None), Failure(states=[1]))
+    assert len(str(caught.value)) < 300
+
+
 def test_which_states_fail(tmp_path: Path) -> None:
     path = write(tmp_path)
     assert load_model(path, fail_states=[3]).fail.tolist() == [False, False, False, True]
@@ -107,6 +115,67 @@ def test_which_states_fail(tmp_path: Path) -> None:
         load_model(path, fail_label="x")
     with pytest.raises(ValueError, match="unknown name 'r'"):
         load_model(path, fail_if="r > 0")
+
+
+def test_several_labels_are_a_union(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    assert load_model(path, fail_label=["init", "crash"]).fail.tolist() == [
+        True,
+        True,
+        False,
+        False,
+    ]
+    with pytest.raises(ValueError, match=r"no label 'x' \(labels: init, deadlock, crash\)$"):
+        load_model(path, fail_label=["crash", "x"])
+
+
+@pytest.mark.parametrize("labels", ["deadlock", ["crash", "deadlock"], ["deadlock", "crash"]])
+def test_a_label_that_no_state_carries_is_said(labels: Any, tmp_path: Path) -> None:
+    path = write(tmp_path)
+    with pytest.warns(NoFailureWarning) as said:
+        model = load_model(path, fail_label=labels)
+    assert model.fail.tolist() == [False, "crash" in labels, False, False]
+    assert [str(warning.message) for warning in said] == [
+        f"{path}: no state carries the label 'deadlock', so that failure by it is impossible"
+    ]
+
+
+def test_the_label_fail_without_a_state_is_said(tmp_path: Path) -> None:
+    path = write(tmp_path, lab=LAB.replace("deadlock", "fail"))
+    with pytest.warns(NoFailureWarning, match="no state carries the label 'fail'"):
+        assert not load_model(path).fail.any()
+
+
+def test_variables_of_states_say_which_fail(tmp_path: Path) -> None:
+    path = write(
+        tmp_path, sta="(x,open,s)\n0:(0,true,0)\n1:(1,true,3)\n2:(2,false,3)\n3:(2,true,1)\n"
+    )
+
+    def fail(condition: str) -> list[bool]:
+        return load_model(path, fail_if=condition).fail.tolist()
+
+    assert fail("x > 1 and open") == [False, False, False, True]
+    assert fail("not open") == [False, False, True, False]
+    assert fail("model.s == 3 and x in [0, 1]") == [False, True, False, False]
+    assert fail("s2 == 3") == [False, False, False, False, True]
+    both = load_model(path, fail_if="not open", fail_label="crash")
+    assert both.fail.tolist() == [False, True, True, False]
+    with pytest.warns(NoFailureWarning, match="no state satisfies 'x > 2'"):
+        assert fail("x > 2") == [False] * 4
+    for condition, message in (
+        ("s == 3", "'s' is a variable of the model too; write model.s for the variable"),
+        ("x == 1 and s2 == 3", "'x' says which states fail and 's2' which transitions; one"),
+        ("y == 1", r"unknown name 'y' \(known here: s, a, s2, or the variables x, open, s\)"),
+        ("x", "gives a number, not true or false"),
+    ):
+        with pytest.raises(ValueError, match=f"model.tra: condition '{condition}': {message}"):
+            fail(condition)
+
+
+def test_names_of_states_are_no_variables(tmp_path: Path) -> None:
+    path = write(tmp_path, sta="(name)\n0:(a,b)\n1:(c)\n2:(d)\n3:(e)\n")
+    with pytest.raises(ValueError, match="unknown name 'name'"):
+        load_model(path, fail_if="name == 1")
 
 
 def test_a_state_that_leaves_is_not_terminal_whatever_its_label(tmp_path: Path) -> None:
@@ -198,7 +267,7 @@ def test_names_that_cannot_be_written(suffix: str, tmp_path: Path) -> None:
             "line 2: state 0, choice 0: probabilities sum to 0.999, not 1",
         ),
         ("0 0 2 0.5", "0 0 2 -0.5", "line 3: state 0, choice 0: negative probability -0.5"),
-        ("0.5", "1/3", "line 2: state 0, choice 0: probabilities sum to 2/3, not 1"),
+        ("0.5", "1/3", "line 2: state 0, choice 0: probabilities sum to 2/3, not exactly 1"),
     ],
 )
 def test_bad_transitions(old: str, new: str, message: str, tmp_path: Path) -> None:
@@ -235,6 +304,7 @@ def test_bad_labels(old: str, new: str, message: str, tmp_path: Path) -> None:
     ("old", "new", "message"),
     [
         ("(x,y)", "x,y", r"line 1: expected the variables, such as \(x,y\)"),
+        ("(x,y)", "(x,x)", "line 1: two variables are called 'x'"),
         ("3:(1,1)", "3:(1)", "line 5: expected 2 values, not 1"),
         ("3:(1,1)", "9:(1,1)", "line 5: state 9 does not exist"),
         ("3:(1,1)", "3 (1,1)", "line 5: expected 'state:"),

@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from dead_ends.io import load_model, save_model
+from dead_ends.bellman import value_iteration
+from dead_ends.io import NoFailureWarning, load_model, save_model
 from dead_ends.io.errors import MissingDependencyError
 from dead_ends.labels import classify
 
@@ -75,8 +76,62 @@ class TestWithStorm:
         assert model.fail.sum() == 1
 
     def test_missing_constants_name_the_file(self, program: Path) -> None:
-        with pytest.raises(ValueError, match=r"robot\.nm: Model .* undefined constants"):
+        program.write_text(
+            PRISM.replace("const int N;", "const int N; const int M; const int K=2;")
+        )
+        with pytest.raises(
+            ValueError, match=r"robot\.nm: constants .* \(--constants N=...,M=...\)$"
+        ):
             load_model(program, fail_label="pit")
+
+    @pytest.mark.parametrize(
+        ("ours", "storms"),
+        [
+            ("x == 2 and open", "x=2 & open"),
+            ("not open or x in [0, 4]", "!open | x=0 | x=4"),
+            ("model.s > 1", "s>1"),
+            ("1 < x <= 3 and open == (model.s == 1)", "x>1 & x<=3 & (open = (s=1))"),
+            ("x + 2 * model.s == 4", "x+2*s=4"),
+        ],
+    )
+    def test_conditions_on_variables_agree_with_storm(
+        self, ours: str, storms: str, program: Path, stormpy: Any
+    ) -> None:
+        """Storm evaluates the same expression in the states of the same exploration."""
+        moves = "(x'=min(x+1,4))&(s'=mod(s+1,3))"
+        program.write_text(
+            "mdp\nmodule m\nx:[0..4]; s:[0..2]; open:bool;\n"
+            f"[go] true -> 0.5:{moves} + 0.5:(open'=!open);\n[back] true -> (x'=0);\nendmodule\n"
+        )
+        model = load_model(program, fail_if=ours)
+        with program.open("a") as file:
+            file.write(f'label "bad" = {storms};')
+        built = stormpy.build_model(stormpy.parse_prism_program(str(program)))
+        assert model.fail.nonzero()[0].tolist() == list(built.labeling.get_states("bad"))
+        assert 0 < model.fail.sum() < model.num_states == 30
+
+    def test_conditions_on_variables_of_jani_agree_with_storm(self, stormpy: Any) -> None:
+        from stormpy.examples.files import jani_dtmc_die as path
+
+        model = load_model(path, fail_if="model.s == 7 and d >= 5")
+        program, _ = stormpy.parse_jani_model(path)
+        (question,) = stormpy.parse_properties("P=? [F s=7 & d>=5]", program)
+        built = stormpy.build_model(program, [question])
+        theirs = stormpy.model_checking(built, question).get_value(built.initial_states[0])
+        assert model.initial is not None
+        assert value_iteration(model, 1.0).V @ model.initial == pytest.approx(theirs)
+
+    def test_states_are_called_by_their_variables(self, program: Path) -> None:
+        program.write_text("dtmc\nmodule m\nb:bool; x:[0..1];\n[] true -> (b'=!b);\nendmodule\n")
+        assert load_model(program, fail_if="b").state_names == ("!b, x=0", "b, x=0")
+
+    def test_a_label_that_no_state_carries_is_said(self, program: Path) -> None:
+        program.write_text(PRISM + 'label "both" = x=0 & x=1;\n')
+        with pytest.warns(NoFailureWarning, match="robot.nm: no state carries the label 'both'"):
+            model = load_model(program, fail_label="both", constants="N=4")
+        assert classify(model).safe.all()
+        with pytest.raises(ValueError, match="labels: both, deadlock, goal, init, pit"):
+            load_model(program, fail_label="neither", constants="N=4")
 
     def _drn(self, program: Path, folder: Path) -> Path:
         save_model(folder / "a.drn", load_model(program, fail_label="pit", constants="N=4"))
