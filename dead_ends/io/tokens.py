@@ -90,10 +90,13 @@ class Tokens:
         first, after = int(self.first[line]), int(self.first[line + 1])
         return self._decoded(first, after - 1) if first < after else ""
 
-    def span_text(self, token: int, last: int) -> str:
-        """From one token to another, blanks between them included, for a message."""
-        content = self._data[self._start[token] : self._stop[last]]
-        return content.tobytes().decode("utf-8", errors="replace")
+    def name(self, token: int) -> str:
+        """One token.
+
+        Raises:
+            ValueError: naming the file and line, if it is not UTF-8.
+        """
+        return self._decoded(token, token)
 
     def initials(self, tokens: Integers) -> Bytes:
         """The first byte of each token."""
