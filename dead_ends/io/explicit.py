@@ -67,12 +67,19 @@ KINDS = {
     "IPOMDP": "a partially observable MDP with intervals of probabilities (IPOMDP)",
     "PTA": "a probabilistic timed automaton (PTA)",
     "POPTA": "a partially observable probabilistic timed automaton (POPTA)",
+    "TA": "a timed automaton (TA)",
+    "STA": "a stochastic timed automaton (STA)",
+    "HA": "a hybrid automaton (HA)",
+    "PHA": "a probabilistic hybrid automaton (PHA)",
+    "SHA": "a stochastic hybrid automaton (SHA)",
     "TPTG": "a timed game (TPTG)",
     "TSG": "a timed game (TSG)",
 }
 """Kinds of models that are not read, by the words that PRISM and Storm have for them."""
 
 INTERVALS = "the model has intervals of probabilities; MDPs and DTMCs can be read"
+
+PARAMETRIC = "the model is parametric; MDPs and DTMCs can be read"
 
 RESERVED = frozenset({"__NOLABEL__"})
 """What Storm writes for a choice without a label: no name."""
@@ -199,7 +206,7 @@ def _kind_of_value(text: str) -> str:
     if text[0] == "$":
         return ": there is no such placeholder"
     if _IDENTIFIER.search(text) and text.strip("+-").lower() not in ("nan", "inf", "infinity"):
-        return ": the model is parametric; MDPs and DTMCs can be read"
+        return f": {PARAMETRIC}"
     return ""
 
 
