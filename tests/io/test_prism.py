@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from dead_ends.io import load_model, save_model
 from dead_ends.io.explicit import Failure
@@ -285,10 +287,50 @@ def test_an_old_state_file_does_not_stay(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", [".tra", ".drn"])
 def test_names_that_cannot_be_written(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"model{suffix}"
-    for names in ({"action_names": ["a b", "c"]}, {"state_names": ["a\n", "b", "c", "d", "e"]}):
+    for names in (
+        {"action_names": ["a b", "c"]},
+        {"action_names": ["", "c"]},
+        {"action_names": ["c", "c"]},
+        {"action_names": ["c", "__NOLABEL__"]},
+        {"action_names": ["c", "\ud800"]},
+        {"state_names": ["a\n", "b", "c", "d", "e"]},
+        {"state_names": ["\ud800", "b", "c", "d", "e"]},
+    ):
         with pytest.raises(ValueError, match=f"model{suffix}: the .*'s name .* cannot be written"):
             save_model(path, SafeMDP.deterministic(TABLE, **ENDS, **names))
     assert not list(tmp_path.iterdir())
+
+
+MARKS = st.text(
+    "\"'[](){}<>,;:.!?#$%&/\\|@_-+=01ab\x01\x1c\x85\xa0\u2028é★", min_size=1, max_size=6
+)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.lists(MARKS, min_size=2, max_size=2, unique=True), st.lists(MARKS, min_size=5, max_size=5)
+)
+def test_names_full_of_marks(tmp_path: Path, actions: list[str], states: list[str]) -> None:
+    states = [name.strip() for name in states]
+    model = SafeMDP.deterministic(TABLE, **ENDS, action_names=actions, state_names=states)
+    save_model(tmp_path / "model.tra", model)
+    loaded = load_model(tmp_path / "model.tra")
+    assert loaded.action_names == tuple(actions)
+    assert loaded.state_names == tuple(states)
+
+
+@pytest.mark.parametrize("suffix", [".tra", ".drn"])
+def test_many_named_actions(suffix: str, tmp_path: Path) -> None:
+    """Kept if a state has them all; else the tables might be too wide, and they are refused."""
+    names = [f"to{state}" for state in range(70)]
+    table = np.tile(np.arange(70), (70, 1))
+    fail = np.arange(70) == 69
+    path = tmp_path / f"model{suffix}"
+    save_model(path, SafeMDP.deterministic(table, fail, action_names=names))
+    assert load_model(path).action_names == tuple(names)
+    table[np.arange(70) != (np.arange(70)[:, None] + 1) % 70] = -1
+    with pytest.raises(ValueError, match=f"model{suffix}: the names of 70 actions, of which no"):
+        save_model(path, SafeMDP.deterministic(table, fail, action_names=names))
 
 
 @pytest.mark.parametrize(
