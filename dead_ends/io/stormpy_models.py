@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -137,7 +138,7 @@ def _explicit(model: Any) -> Explicit:
         labels=_labels(model),
         choice_names=names,
         choice_name=name[row],
-        state_names=_state_names(model),
+        state_names=_state_names(_variables(model)),
     )
 
 
@@ -150,10 +151,11 @@ def _probabilities(model: Any) -> NDArray[Any]:
 
 
 def _labels(model: Any) -> dict[str, Mask]:
+    """All labels that are declared, with the states that carry them."""
     labels = {}
-    for label in sorted(model.labeling.get_labels()):
-        labels[label] = np.zeros(model.nr_states, dtype=np.bool_)
-        labels[label][np.fromiter(model.labeling.get_states(label), np.int64)] = True
+    for name in sorted(model.labeling.get_labels()):
+        labels[name] = np.zeros(model.nr_states, dtype=np.bool_)
+        labels[name][list(model.labeling.get_states(name))] = True
     return labels
 
 
@@ -175,17 +177,30 @@ def _choice_names(model: Any) -> tuple[list[str], Integers]:
     return names, which
 
 
-def _state_names(model: Any) -> tuple[str, ...] | None:
-    """What the variables are in each state, as in "x=0, up=true"."""
+def _variables(model: Any) -> dict[str, NDArray[Any]]:
+    """The values that bool and number variables have in each state."""
     if not model.has_state_valuations():
-        return None
+        return {}
     valuations = model.state_valuations
-    columns = [
-        [f"{variable.name}={_value(value)}" for value in valuations.get_values_states(variable)]
+    columns = {
+        variable.name: valuations.get_values_states(variable)
         for variable in valuations.get_all_variables()
+        if not variable.has_string_type()
+    }
+    return {
+        name: np.array(values, dtype=None if isinstance(values[0], bool | int) else np.float64)
+        for name, values in sorted(columns.items())
+    }
+
+
+def _state_names(variables: Mapping[str, NDArray[Any]]) -> tuple[str, ...] | None:
+    """States are called by their variables: "!open, x=1" (Storm's own comments lack true ones)."""
+    if not variables:
+        return None
+    columns = [
+        [name if value else f"!{name}" for value in values.tolist()]
+        if values.dtype == np.bool_
+        else [f"{name}={value}" for value in values.tolist()]
+        for name, values in variables.items()
     ]
-    return tuple(", ".join(values) for values in zip(*columns, strict=True)) if columns else None
-
-
-def _value(value: Any) -> str:
-    return str(value).lower() if isinstance(value, bool) else str(value)
+    return tuple(", ".join(row) for row in zip(*columns, strict=True))

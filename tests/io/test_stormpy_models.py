@@ -131,7 +131,7 @@ class TestWithStorm:
         program.write_text(text)
         model = load_model(program, fail_label="pit", constants="N=2")
         assert model.state_names is not None
-        assert set(model.state_names) == {"up=false, x=0", "up=true, x=1", "up=true, x=2"}
+        assert set(model.state_names) == {"!up, x=0", "up, x=1", "up, x=2"}
 
     @pytest.mark.parametrize(
         ("old", "new", "kind"),
