@@ -47,6 +47,7 @@ from dead_ends.io.explicit import (
     check_distributions,
     explicit_model,
     is_utf8,
+    kind_of_value,
     model_labels,
     model_rows,
     read_probabilities,
@@ -188,7 +189,7 @@ def _read_header(tokens: Tokens) -> _Header:
 
     line, kind = entry("@type")
     if kind.upper() not in ("MDP", "DTMC"):
-        unknown = f"the type of the model is '{kind}'; MDP and DTMC can be read"
+        unknown = f"the type of the model is '{kind}'; MDPs and DTMCs can be read"
         raise tokens.error(line, unreadable_kind(kind) or unknown)
     line, value_type = entry("@value_type")
     if value_type in _INTERVALS:
@@ -285,10 +286,9 @@ def _check_moves(tokens: Tokens, moves: Integers) -> None:
     if good.all():
         return
     line = int(moves[good.argmin()])
-    _, colon, value = tokens.line_text(line).partition(" : ")
-    if colon and value.lstrip()[:1] in ("[", "("):
-        raise tokens.error(line, f"'{value}': {INTERVALS}")
-    raise tokens.error(line, "expected 'state ...', 'action ...' or 'state : probability'")
+    value = tokens.line_text(line).partition(" : ")[2].strip()
+    hint = kind_of_value(value) if value else ""
+    raise tokens.error(line, f"expected 'state ...', 'action ...' or 'state : probability'{hint}")
 
 
 def _check_counts(tokens: Tokens, states: Integers, actions: Integers, header: _Header) -> None:

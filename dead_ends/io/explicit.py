@@ -37,6 +37,8 @@ __all__ = [
     "check_distributions",
     "count_distinct",
     "explicit_model",
+    "is_utf8",
+    "kind_of_value",
     "model_labels",
     "model_rows",
     "read_probabilities",
@@ -196,11 +198,11 @@ def read_probabilities(
         ValueError: naming the file and line of the first that is no number, and the kind of
             model that has such things in place of probabilities.
     """
-    return tokens.numbers(places, "a probability", named, _kind_of_value)
+    return tokens.numbers(places, "a probability", named, kind_of_value)
 
 
-def _kind_of_value(text: str) -> str:
-    """What a token tells about the model that is no number."""
+def kind_of_value(text: str) -> str:
+    """What is told about the model by a text that is no number; empty: nothing."""
     if text[0] in "[(" and (text[-1:] not in ")]" or "," in text):
         return f": {INTERVALS}"
     if text[0] == "$":

@@ -39,6 +39,7 @@ from dead_ends.io.explicit import (
     count_distinct,
     explicit_model,
     is_utf8,
+    kind_of_value,
     model_labels,
     model_rows,
     read_probabilities,
@@ -203,7 +204,9 @@ def _read_transitions(tokens: Tokens) -> Explicit:
     wrong = np.flatnonzero((counts != width) & (counts != width + 1))
     if len(wrong):
         what = f"state{' choice' if sizes.is_mdp else ''} successor probability [action]"
-        raise tokens.error(int(lines[wrong[0]]), f"expected '{what}'")
+        more = counts[wrong[0]] > width
+        hint = kind_of_value(tokens.text(int(first[wrong[0]]) + width - 1)) if more else ""
+        raise tokens.error(int(lines[wrong[0]]), f"expected '{what}'{hint}")
     _check_length(tokens, lines, sizes.transitions)
     num_states = _count_states(tokens, first, first + width - 2, sizes.states)
     require_memory(STATE_BYTES * num_states, f"{tokens.path}: a model of {num_states:,} states")

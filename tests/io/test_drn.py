@@ -1,5 +1,6 @@
 """Storm's DRN files: reading what Storm writes, and what is said about bad files."""
 
+import gzip
 from fractions import Fraction
 from pathlib import Path
 
@@ -177,6 +178,7 @@ def test_a_dtmc_with_a_deadlock(tmp_path: Path) -> None:
         ("3 : 1\n", "3 : [0.1, 1]\n", "line 28: .*: the model has intervals of probabilities"),
         ("3 : 1\n", "3 : [0.1,1]\n", "line 28: .*: the model has intervals of probabilities"),
         ("3 : 1\n", "3 : 1-p\n", "line 28: '1-p' is not a probability: the model is parametric"),
+        ("3 : 1\n", "3 : 1 - p\n", "line 28: expected .*: the model is parametric"),
         ("3 : 1\n", "3 : nan\n", "line 28: 'nan' is not a probability$"),
         ("3 : 1\n", "3 : $p\n", "line 28: '.p' is not a probability: .* no such placeholder"),
         ("@type: MDP", "@type: DTMC", "line 19: a state of a DTMC has a second action"),
@@ -225,6 +227,15 @@ def test_order(body: str, message: str, tmp_path: Path) -> None:
     head = f"@type: MDP\n@nr_states\n{body.count('state')}\n@model\n"
     with pytest.raises(ValueError, match=message):
         load_drn(write(tmp_path, head + body), Failure(states=[0]))
+
+
+def test_a_compressed_file(tmp_path: Path) -> None:
+    path = tmp_path / "model.drn.gz"
+    path.write_bytes(gzip.compress(STORM.encode()))
+    assert load_model(path, fail_label="crash").action_names == ("go", "wait")
+    path.write_bytes(gzip.compress(STORM.encode())[:-9])
+    with pytest.raises(ValueError, match=r"model\.drn\.gz: damaged, or not compressed by gzip"):
+        load_model(path, fail_label="crash")
 
 
 def test_names_that_are_not_utf8(tmp_path: Path) -> None:

@@ -133,6 +133,8 @@ def test_storm_reads_the_same(tmp_path: Path) -> None:
         ("# Transitions (IMDP)\n2 2 2\n0 0 1 [1,1]\n1 0 1 [1,1]\n", "an MDP with intervals"),
         ("2 2 2\n0 0 1 [1,1] go\n1 0 1 [1,1] go\n", "the model has intervals"),
         ("2 2\n0 1 [1,1]\n1 1 [1,1]\n", "the model has intervals"),
+        ("2 2\n0 1 [1, 1]\n1 1 [1, 1]\n", "the model has intervals"),
+        ("2 2 2\n0 0 1 [1, 1] go\n1 0 1 [1, 1] go\n", "the model has intervals"),
         ("2 3\n0 0 1-p\n0 1 p\n1 1 1\n", "'1-p' is not a .* the model is parametric"),
         ("2 2 3\n0 0 0 p go\n0 0 1 1-p go\n1 0 1 1 go\n", "'p' is not .* the model is parametric"),
         ("2 3\n0 0.5:0 0.5:1\n1 1:1\n", r"the file is in rows \(PRISM's -exportrows\)"),
