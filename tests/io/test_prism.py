@@ -214,6 +214,13 @@ def test_fractions_are_kept(tmp_path: Path) -> None:
     assert model.exact == (Fraction(1, 3), Fraction(2, 3))
 
 
+def test_labels_with_blanks_and_brackets(tmp_path: Path) -> None:
+    path = write(tmp_path, lab='0="did not fail" 1="fail" 2="door[0]"\n0: 0 2\n1: 1\n')
+    assert load_prism(path).fail.tolist() == [False, True, False, False]
+    assert load_prism(path, Failure("did not fail")).fail.tolist() == [True] + [False] * 3
+    assert load_prism(path, Failure("door[0]")).fail.tolist() == [True] + [False] * 3
+
+
 def test_which_states_fail(tmp_path: Path) -> None:
     path = write(tmp_path)
     assert load_model(path, fail_states=[3]).fail.tolist() == [False, False, False, True]
