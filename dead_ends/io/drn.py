@@ -357,12 +357,12 @@ def _action_names(
 def _check_actions(tokens: Tokens, actions: Integers) -> None:
     """Nothing follows an action's name but rewards, for a name ends with the first blank."""
     name = tokens.first[actions] + 1
-    good = tokens.spaced(name - 1) & tokens.closed(name)
+    good = tokens.adjacent(name - 1) & tokens.closed(name)
     more = tokens.counts[actions] > 2
     first, last = name[more] + 1, tokens.first[actions[more] + 1] - 1
     rests, which = tokens.distinct(first, last)
     rewards = [rest == "[]" or _REWARDS.fullmatch(rest) is not None for rest in rests]
-    good[more] &= tokens.spaced(first - 1) & np.array(rewards, dtype=np.bool_)[which]
+    good[more] &= tokens.adjacent(first - 1) & np.array(rewards, dtype=np.bool_)[which]
     if not good.all():
         line = int(actions[good.argmin()])
         text = tokens.line_text(line)
@@ -378,7 +378,7 @@ def _read_labels(tokens: Tokens, states: Integers) -> dict[str, Mask]:
         return {}
     lines = states[more]
     first = tokens.first[lines] + 2
-    far = np.flatnonzero((tokens.initials(first) == ord("[")) & ~tokens.spaced(first - 1))
+    far = np.flatnonzero((tokens.initials(first) == ord("[")) & ~tokens.adjacent(first - 1))
     if len(far):
         raise tokens.error(int(lines[far[0]]), "one space separates a state from its rewards")
     texts, which = tokens.distinct(first, tokens.first[lines + 1] - 1)

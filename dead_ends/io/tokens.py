@@ -114,11 +114,10 @@ class Tokens:
         known: Bytes = self._data[np.minimum(place, len(self._data) - 1)]
         return np.where(place < len(self._data), known, np.uint8(ord("\n")))
 
-    def spaced(self, tokens: Integers) -> NDArray[np.bool_]:
-        """Whether exactly one space separates each token from the next."""
-        near = self._start[tokens + 1] - self._stop[tokens] == 1
-        spaced: NDArray[np.bool_] = near & (self.behind(tokens) == ord(" "))
-        return spaced
+    def adjacent(self, tokens: Integers) -> NDArray[np.bool_]:
+        """Whether only one blank separates each token from the next."""
+        adjacent: NDArray[np.bool_] = self._start[tokens + 1] - self._stop[tokens] == 1
+        return adjacent
 
     def closed(self, tokens: Integers) -> NDArray[np.bool_]:
         """Whether a space or the line's end, with or without carriage return, comes next."""

@@ -161,6 +161,7 @@ def test_names_of_actions(path: Path, names: list[str], rewards: bool) -> None:
     st.lists(NAMES, min_size=3, max_size=3),
     st.booleans(),
 )
+@example(["a", "b"], ["x\t& y", "", ""], False)
 def test_what_we_write_is_read_by_storm_and_by_us(
     path: Path, actions: list[str], states: list[str], exact: bool
 ) -> None:

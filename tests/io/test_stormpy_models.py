@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given, reject, settings
 from hypothesis import strategies as st
 
 from dead_ends.io import load_model, save_model
@@ -104,25 +104,27 @@ class TestWithStorm:
             state_labeling=states,
         )
         parts.choice_labeling = choices
-        stormpy.io.export_to_umb(stormpy.models.SparseMdp(parts), str(tmp_path / "m.umb"))
+        try:
+            stormpy.io.export_to_umb(stormpy.models.SparseMdp(parts), str(tmp_path / "m.umb"))
+        except RuntimeError:  # Storm gives two labels one file, as for " " and "_"
+            reject()
         theirs = stormpy.build_model_from_umb(str(tmp_path / "m.umb"))
         assert theirs.labeling.get_labels() == {"init", *labels}
         for label in labels:
             model = load_model(tmp_path / "m.umb", fail_label=label)
             assert model.fail.nonzero()[0].tolist() == list(theirs.labeling.get_states(label))
-        model = load_model(tmp_path / "m.umb", fail_states=[])
-        expected, taken = np.zeros((12, 3)), [(0, 0), (0, 1), (1, 0), (2, 0)]
+        taken = [(0, 0), (0, 1), (1, 0), (2, 0)]
         if actions[0] == actions[1]:
             assert model.action_names is None
         else:
             assert model.action_names is not None
             assert set(model.action_names) == set(actions)
-            taken = [
-                (s, model.action_names.index(n)) for (s, _), n in zip(taken, actions, strict=True)
-            ]
-        rows = [state * model.num_actions + action for state, action in taken]
-        expected[rows] = P
-        assert np.array_equal(model.transitions().toarray(), expected[: 3 * model.num_actions])
+            numbers = [model.action_names.index(name) for name in actions]
+            taken = [(s, number) for (s, _), number in zip(taken, numbers, strict=True)]
+        expected = np.zeros((3 * model.num_actions, 3))
+        for (state, action), row in zip(taken, P, strict=True):
+            expected[state * model.num_actions + action] = row * ~model.fail[state]
+        assert np.array_equal(model.transitions().toarray(), expected)
 
     def test_names_of_states(self, program: Path) -> None:
         text = PRISM.replace("init 1;", "init 1; up : bool init true;").replace(
