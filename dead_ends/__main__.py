@@ -17,6 +17,7 @@ from typing import NoReturn
 from dead_ends import __version__
 from dead_ends.cli import COMMANDS
 from dead_ends.io.errors import MissingDependencyError
+from dead_ends.precision import UndecidedError
 
 USAGE_ERROR, INTERRUPTED, BROKEN_PIPE = 2, 130, 141
 
@@ -63,6 +64,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         path = error.filename2 or error.filename  # of a renaming, the target
         return _complain(f"{path}: {error.strerror}" if path else str(error))
+    except UndecidedError as error:
+        return _complain(error.with_options(vars(parsed)))
     except (ValueError, MissingDependencyError) as error:
         return _complain(str(error))
 

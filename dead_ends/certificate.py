@@ -30,7 +30,7 @@ from dead_ends.labels import classify, safe_actions
 from dead_ends.model import SafeMDP
 from dead_ends.results import Labelling
 
-__all__ = ["certify", "load_certificate", "save_certificate"]
+__all__ = ["certify", "find_witnesses", "load_certificate", "save_certificate"]
 
 FORMAT = "dead-ends certificate"
 VERSION = 1
@@ -43,9 +43,16 @@ def certify(model: SafeMDP, labelling: Labelling | None = None) -> Certificate:
     Args:
         model: deterministic or stochastic.
         labelling: its ``classify(model)``, if at hand.
+
+    Raises:
+        ValueError: if the model is an estimate: its labels are not those of the task.
     """
-    if labelling is None:
-        labelling = classify(model)
+    model.refuse_estimate("a certificate")
+    return find_witnesses(model, classify(model) if labelling is None else labelling)
+
+
+def find_witnesses(model: SafeMDP, labelling: Labelling) -> Certificate:
+    """What :func:`certify` returns, of an estimate too: it speaks of the model alone."""
     stays = safe_actions(model, labelling)
     action = np.where(labelling.safe, stays.argmax(axis=1), -1).astype(np.int32)
     escape = np.zeros(model.num_states, dtype=np.int32)

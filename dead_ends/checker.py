@@ -87,6 +87,8 @@ def check_certificate(model: SafeMDP, certificate: Certificate) -> None:
         array = getattr(certificate, name)
         if array.shape != (model.num_states,) or array.dtype.kind not in "iu":
             raise CertificateError(f"{name}: {model.num_states} integers are needed, one a state")
+    if model.estimate:
+        raise CertificateError("the model is an estimate from a log, so its labels prove nothing")
     if certificate.digest != model_digest(model):
         raise CertificateError("the certificate is of another model")
     labels, rank, escape, action = (

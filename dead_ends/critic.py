@@ -195,7 +195,12 @@ def from_operator(
         settings.tolerance,
         settings.max_iterations,
     )
-    check_width(bounds, settings.tolerance, lambda place: model.state_name(unknown[place]))
+    check_width(
+        bounds,
+        settings.tolerance,
+        lambda place: model.state_name(unknown[place]),
+        float(settings.gamma),
+    )
     entering = tuple(
         _scattered(weights, unknown, x) for x in (bounds.lower, bounds.estimate, bounds.upper)
     )

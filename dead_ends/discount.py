@@ -13,7 +13,11 @@ cost on entering) v = 0, k = 1, j = 0.
 from __future__ import annotations
 
 import math
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal, localcontext
 from fractions import Fraction
 from typing import Any
 
@@ -23,9 +27,19 @@ from numpy.typing import NDArray
 from dead_ends.conventions import CriticConvention, ValueConvention
 from dead_ends.results import INFINITE
 
-__all__ = ["Discount", "Powers", "power", "power_table", "read_discount"]
+__all__ = [
+    "Discount",
+    "Powers",
+    "compare_power",
+    "power",
+    "power_at_most",
+    "power_table",
+    "read_discount",
+    "scientific",
+]
 
 Discount = float | Fraction
+SMALLEST_NORMAL = sys.float_info.min
 SMALLEST = math.ulp(0.0)
 """The least positive float: gamma**T is never rounded to 0, which would call it safe."""
 
@@ -83,6 +97,58 @@ class Powers:
 def power(gamma: Discount, n: int) -> Discount:
     """gamma**n as Python calculates it, so that equal n give equal results; never 0."""
     return gamma**n if isinstance(gamma, Fraction) else max(gamma**n, SMALLEST)
+
+
+def compare_power(value: Fraction, gamma: Fraction, exponent: Fraction | int) -> int:
+    """The sign of value - gamma**exponent, decided exactly, however small the power is.
+
+    By logarithms to a hundred digits; where they agree to 80, by comparing value**b with
+    gamma**a for the exponent a/b.
+    """
+    if value <= 0:
+        return -1
+    exponent = Fraction(exponent)
+    with _digits(100):
+        left = _decimal(value).ln()
+        right = _decimal(exponent) * _decimal(gamma).ln()
+        if abs(left - right) > Decimal(10) ** -80 * (1 + abs(right)):
+            return -1 if left < right else 1
+    first, second = value**exponent.denominator, gamma**exponent.numerator
+    return (first > second) - (first < second)
+
+
+def power_at_most(gamma: float, n: int) -> float | None:
+    """A float for the greatest threshold gamma**n; None if no positive float is as small.
+
+    gamma**n as Python calculates it, so that it equals the values of critics. Where floats are
+    subnormal, and their few digits no longer tell, the greatest one that is not above it, with
+    gamma as its shortest decimal.
+    """
+    if gamma**n >= SMALLEST_NORMAL:
+        return gamma**n
+    exact = Fraction(repr(gamma))
+    with _digits(30):
+        nearest = float(_decimal(exact) ** n)
+    candidates = (nearest, math.nextafter(nearest, 0.0))
+    return next((x for x in candidates if x and compare_power(Fraction(x), exact, n) <= 0), None)
+
+
+def scientific(number: Discount, exponent: int = 1, digits: int = 6) -> str:
+    """number**exponent with a few digits, also where that is far too small for a float."""
+    exact = Fraction(repr(number)) if isinstance(number, float) else number
+    with _digits(30):
+        return f"{_decimal(exact) ** exponent:.{digits}g}"
+
+
+@contextmanager
+def _digits(precision: int) -> Iterator[None]:
+    """Decimals with so many digits, and exponents as great as there can be."""
+    with localcontext(Context(prec=precision, Emin=MIN_EMIN, Emax=MAX_EMAX)):
+        yield
+
+
+def _decimal(number: Fraction) -> Decimal:
+    return Decimal(number.numerator) / Decimal(number.denominator)
 
 
 def power_table(

@@ -21,6 +21,7 @@ CAV 2020).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -29,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dead_ends.linear import LinearSolver
+from dead_ends.precision import UndecidedError
 from dead_ends.rounding import TINY, Csr, Float
 
 __all__ = ["Enclosure", "MonotoneOperator", "check_width", "enclose"]
@@ -36,6 +38,8 @@ __all__ = ["Enclosure", "MonotoneOperator", "check_width", "enclose"]
 WARM_UP = 20
 SHIFTED_ITERATIONS = 8
 SWEEPS = 10
+WORTHWHILE = 100
+"""So many times the sweeps that were made may be advised; what takes longer is no advice."""
 EPSILON = 2.0**-52
 
 Solve = Callable[[Csr, Float, Float], Float | None]
@@ -60,12 +64,19 @@ class MonotoneOperator(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Enclosure:
-    """lower <= x* <= upper, an estimate between them, and the sweeps that were made."""
+    """lower <= x* <= upper, an estimate between them, and the sweeps that were made.
+
+    Attributes:
+        lower, estimate, upper: (n,).
+        iterations: the sweeps that were made.
+        rounding: by how much one sweep widens the bounds by rounding; 0 if they are close enough.
+    """
 
     lower: Float
     estimate: Float
     upper: Float
     iterations: int
+    rounding: float
 
 
 def enclose(
@@ -87,7 +98,7 @@ def enclose(
         The best bounds found; the caller decides what it means that they are too wide.
     """
     if len(lower) == 0:
-        return Enclosure(lower, lower, upper, 0)
+        return Enclosure(lower, lower, upper, 0, 0.0)
     warm_up = min(WARM_UP, max_iterations)
     for _ in range(warm_up):
         lower, upper = _sweep(operator, lower, upper)
@@ -105,7 +116,9 @@ def enclose(
             break
         lower, upper = next_lower, next_upper
     middle = lower + (upper - lower) / 2 if guess is None else np.clip(guess, lower, upper)
-    return Enclosure(lower, middle, upper, iterations)
+    wide = _widths(lower, upper).max() > tolerance and np.isfinite(middle).all()
+    rounding = np.max(operator.upper(middle) - operator.lower(middle)) if wide else 0.0
+    return Enclosure(lower, middle, upper, iterations, float(rounding))
 
 
 def _sweep(operator: MonotoneOperator, lower: Float, upper: Float) -> tuple[Float, Float]:
@@ -117,20 +130,52 @@ def _sweep(operator: MonotoneOperator, lower: Float, upper: Float) -> tuple[Floa
     return np.minimum(np.maximum(lower, operator.lower(lower)), upper), upper
 
 
-def check_width(bounds: Enclosure, tolerance: float, name: Callable[[int], str]) -> None:
+def check_width(
+    bounds: Enclosure, tolerance: float, name: Callable[[int], str], gamma: float | None = None
+) -> None:
     """The bounds are within the tolerance.
 
+    Args:
+        bounds: what was found.
+        tolerance: what was wanted.
+        name: what the unknowns are called.
+        gamma: the discount; None if the equations have none.
+
     Raises:
-        ValueError: with ``name`` of the place where they are farthest apart.
+        UndecidedError: with ``name`` of the place where they are farthest apart, and what helps.
+            More iterations are advised where it is certain that they do.
     """
     width = _widths(bounds.lower, bounds.upper)
     if len(width) and not width.max() <= tolerance:
         worst = int(width.argmax())
-        raise ValueError(
+        helps = {"exact": "use exact=True"}
+        if gamma == 1:
+            helps["gamma_safe"] = "a gamma_safe below 1"
+        enough = _enough_sweeps(bounds, float(width[worst]), tolerance, gamma)
+        if enough is not None:
+            helps["max_iterations"] = f"raise max_iterations to {enough}"
+        if math.isfinite(width[worst]):
+            helps["tolerance"] = f"accept tolerance={1.05 * width[worst]:.2g}"
+        raise UndecidedError(
             f"after {bounds.iterations} sweeps the value of {name(worst)} is only known to lie in "
-            f"[{bounds.lower[worst]:.9g}, {bounds.upper[worst]:.9g}]: raise max_iterations or the "
-            f"tolerance ({tolerance:g}), or use exact=True"
+            f"[{bounds.lower[worst]:.9g}, {bounds.upper[worst]:.9g}]",
+            helps,
         )
+
+
+def _enough_sweeps(
+    bounds: Enclosure, width: float, tolerance: float, gamma: float | None
+) -> int | None:
+    """A number of sweeps that surely reaches the tolerance; None if none is known, or too many.
+
+    A sweep multiplies the greatest width by gamma at most, and adds its rounding. Without a
+    discount there is no such rate: the bounds may shrink for a while and then hardly at all.
+    """
+    if gamma is None or gamma == 1 or bounds.rounding / (1 - gamma) > tolerance / 2:
+        return None
+    more = math.ceil(math.log(tolerance / 2 / width) / math.log(gamma))
+    enough = bounds.iterations + more
+    return enough if enough <= WORTHWHILE * bounds.iterations else None
 
 
 def _widths(lower: Float, upper: Float) -> Float:

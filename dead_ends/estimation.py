@@ -7,11 +7,15 @@ data lack,
     optimistic:   (s, a) stays in s, safely.
 
 This is the paper's problem of out-of-distribution actions ("Offline Pretrain"), exactly: a
-critic that queries Q(s, a) of untried actions guesses one way or the other. If the data are
-true, every state that the pessimistic estimate of a deterministic model calls safe is safe, and
-more data can only enlarge that set: the pessimist is conservative, never wrong. The optimist
-calls every state safe in which something is untried, and so may call a dead-end safe. In a
-stochastic model even the pessimist can be wrong: a successor that was never seen has frequency 0.
+critic that queries Q(s, a) of untried actions guesses one way or the other. If the task is
+deterministic, every state that the pessimist calls safe is safe, and more data can only enlarge
+that set: the pessimist is conservative, never wrong. The optimist calls every state safe in which
+something is untried, and so may call a dead-end safe. In a stochastic task even the pessimist can
+be wrong: a successor that was never seen has frequency 0, and a frequency is not a probability.
+
+So the model of a log is an estimate (``model.estimate``), and nothing that follows from it is
+guaranteed, unless somebody asserts that the task is deterministic and nothing is guessed
+optimistically.
 
 Observed pairs: the one successor (deterministic), or the relative frequencies of the successors
 (maximum likelihood), as exact Fractions.
@@ -52,7 +56,7 @@ def estimate_model(
     fail: ArrayLike,
     unseen: Unseen | str = Unseen.PESSIMISTIC,
     *,
-    deterministic: bool = True,
+    deterministic: bool = False,
     rewards: ArrayLike | None = None,
     terminated: ArrayLike | None = None,
     available: ArrayLike | None = None,
@@ -69,14 +73,20 @@ def estimate_model(
         fail: bool (S,), the violations.
         unseen: how pairs (s, a) without data are taken; pessimistically they lead to the
             first fail state.
-        deterministic: demand one successor a pair. Otherwise P is the relative frequency, in
-            Fractions (``model.exact``).
+        deterministic: True asserts that every pair has one successor in the task itself; a
+            log that contradicts it is refused. Otherwise P is the relative frequency, in
+            Fractions (``model.exact``), and the model is an estimate.
         rewards: float (N,), averaged over each pair.
         terminated: bool (N,), the episode ended at s'. An s' that is not fail is then a goal
             (a terminal state). Time limits are no ends: leave them False.
         available: bool (S, A), the actions that exist; None means all. Those that do not
             exist are not guessed about.
         initial, state_names, action_names: as in :meth:`dead_ends.SafeMDP.deterministic`.
+
+    Returns:
+        The model, marked as an estimate unless ``deterministic`` is asserted and no pair is
+        taken optimistically. Its labels are no guarantee about the task; of an unmarked model
+        "safe" is one, and "dead" means that the data show no way to stay safe.
 
     Raises:
         ValueError: naming the row: an index out of range, a transition that starts where an
@@ -110,7 +120,8 @@ def estimate_model(
         table = np.where(guessed, guess[:, None], -1).astype(np.int32)
         table[rows[:, 0], rows[:, 1]] = rows[:, 2]
         _check_one_successor(rows, table)
-        return SafeMDP.deterministic(table, fail_mask, **common)
+        model = SafeMDP.deterministic(table, fail_mask, **common)
+        return replace(model, estimate=unseen is Unseen.OPTIMISTIC and bool(guessed.any()))
     return _most_likely(rows, guessed, guess, fail_mask, exists, common)
 
 
@@ -148,7 +159,7 @@ def _most_likely(
     exact = tuple(
         Fraction(int(count), int(total)) for count, total in zip(counts.data, tried, strict=True)
     )
-    return replace(model, exact=exact)
+    return replace(model, exact=exact, estimate=True)
 
 
 def _guess(unseen: Unseen, fail: NDArray[np.bool_], guessed: NDArray[np.bool_]) -> Integers:
@@ -230,7 +241,8 @@ def _check_one_successor(rows: Integers, table: NDArray[np.int32]) -> None:
         state, action, successor = rows[other[0]]
         raise ValueError(
             f"state {state}, action {action} leads to state {successor} (transition {other[0]}) "
-            f"and to state {table[state, action]}; use deterministic=False"
+            f"and to state {table[state, action]}, so the task is not deterministic; leave out "
+            "deterministic=True"
         )
 
 

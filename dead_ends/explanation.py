@@ -13,8 +13,10 @@ number of steps has no longest path: its shortest path to failure is shown.
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,20 +83,36 @@ class Explanation:
     text: str
 
 
-def explain(model: SafeMDP, state: int | str, labelling: Labelling | None = None) -> Explanation:
+def explain(
+    model: SafeMDP,
+    state: int | str,
+    labelling: Labelling | None = None,
+    *,
+    exact: bool = False,
+) -> Explanation:
     """Why a state is safe, dead, at risk or fail.
 
     Args:
         model: the model.
         state: its index, or its name (or its index as text).
         labelling: ``classify(model)``, if at hand.
+        exact: find P_min in Fractions; its bounds are then the floats next to it.
 
     Raises:
-        ValueError: if there is no such state, or if the name belongs to several.
+        ValueError: if there is no such state, if the name belongs to several, or if floats do
+            not tell P_min.
     """
     index = state_index(model, state)
     if labelling is None:
         labelling = classify(model)
+    explanation = _explain(model, index, labelling, exact)
+    if not model.estimate:
+        return explanation
+    caution = "This is said of an estimate from a log; of the task it may not be true."
+    return replace(explanation, text=f"{explanation.text} {caution}")
+
+
+def _explain(model: SafeMDP, index: int, labelling: Labelling, exact: bool) -> Explanation:
     label = Label(int(labelling.labels[index]))
     name = model.state_name(index)
     if label is Label.FAIL:
@@ -104,7 +122,7 @@ def explain(model: SafeMDP, state: int | str, labelling: Labelling | None = None
         return _explain_dead(model, index, labelling)
     if label is Label.SAFE:
         return _explain_safe(model, index, labelling)
-    return _explain_at_risk(model, index, labelling)
+    return _explain_at_risk(model, index, labelling, exact)
 
 
 def state_index(model: SafeMDP, state: int | str) -> int:
@@ -166,10 +184,10 @@ def _explain_safe(model: SafeMDP, state: int, labelling: Labelling) -> Explanati
     return Explanation(state, Label.SAFE, None, action, path, None, None, text)
 
 
-def _explain_at_risk(model: SafeMDP, state: int, labelling: Labelling) -> Explanation:
+def _explain_at_risk(model: SafeMDP, state: int, labelling: Labelling, exact: bool) -> Explanation:
     # undiscounted: the least probability of failing
-    values = value_iteration(model, 1.0, tolerance=P_MIN_TOLERANCE)
-    p_min = float(values.V_lower[state]), float(values.V_upper[state])
+    values = value_iteration(model, 1.0, exact=exact, tolerance=P_MIN_TOLERANCE)
+    p_min = _float_bounds(values.V_lower[state], values.V_upper[state])
     best = recovery_policy(values)
     follows = np.zeros((model.num_states, model.num_actions), dtype=np.bool_)
     follows[np.arange(model.num_states), best] = True
@@ -268,6 +286,15 @@ def _shown(model: SafeMDP, path: Path) -> str:
         kept = SHOWN // 2
         states[kept:-kept] = [f"... {len(states) - 2 * kept} more ..."]
     return " -> ".join(states)
+
+
+def _float_bounds(lower: float | Fraction, upper: float | Fraction) -> tuple[float, float]:
+    """Floats that enclose two numbers, as closely as floats can."""
+    below, above = float(lower), float(upper)
+    return (
+        below if below <= lower else math.nextafter(below, 0.0),
+        above if above >= upper else math.nextafter(above, 1.0),
+    )
 
 
 def _interval(bounds: tuple[float, float]) -> str:

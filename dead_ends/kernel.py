@@ -62,7 +62,12 @@ def exact_data(kernel: Csr, name: NamePair) -> tuple[Fraction, ...]:
     """Each stored float as its shortest decimal; every non-empty row sums to exactly 1."""
     data = tuple(Fraction(repr(float(p))) for p in kernel.data)
     num_actions = kernel.shape[0] // kernel.shape[1]
-    _check_exact_sums(data, kernel.indptr, num_actions, name)
+    try:
+        _check_exact_sums(data, kernel.indptr, num_actions, name)
+    except ValueError as error:
+        raise ValueError(
+            f"{error}: exactly, a float is its shortest decimal; give the model in fractions"
+        ) from None
     return data
 
 

@@ -94,6 +94,9 @@ class SafeMDP:
         initial: float (S,), the distribution of the first state, or None.
         state_names, action_names: optional names.
         geometry: where states are drawn, or None.
+        estimate: whether the probabilities are estimates, as of a model from a log
+            (:func:`dead_ends.estimate_model`). What follows from an estimate is no guarantee
+            about the task: what would promise one refuses it.
     """
 
     next_state: NDArray[np.int32] | None
@@ -107,6 +110,7 @@ class SafeMDP:
     state_names: tuple[str, ...] | None = None
     action_names: tuple[str, ...] | None = None
     geometry: Geometry | None = None
+    estimate: bool = False
     _available: NDArray[np.bool_] | None = field(default=None)
 
     @classmethod
@@ -294,9 +298,21 @@ class SafeMDP:
         """The action for a sentence: its number, and its name if it has one."""
         return named("action", action, self.action_names)
 
+    def refuse_estimate(self, promise: str) -> None:
+        """Say that a promise cannot be made, if the model is an estimate.
+
+        Raises:
+            ValueError: naming the promise.
+        """
+        if self.estimate:
+            raise ValueError(
+                f"{promise} would be no promise about the task: the model is an estimate from a log"
+            )
+
     def __repr__(self) -> str:
         kind = "deterministic" if self.is_deterministic else "stochastic"
         ends = f"{int(self.fail.sum()):,} fail, {int(self.terminal.sum()):,} terminal"
+        kind += ", an estimate" if self.estimate else ""
         return f"SafeMDP({kind}, {self.num_states:,} states, {self.num_actions} actions, {ends})"
 
 

@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dead_ends.model_input import ROW_SUM_TOLERANCE
 from dead_ends.policy_input import as_distribution
+from dead_ends.precision import UndecidedError
 from dead_ends.results import Values
 
 __all__ = [
@@ -280,10 +281,14 @@ def _check_decided(values: Values, table: NDArray[Any], epsilon: float | Fractio
         )
 
 
-def _undecided(what: str, lower: Any, upper: Any, epsilon: float | Fraction) -> ValueError:
-    return ValueError(
+def _undecided(what: str, lower: Any, upper: Any, epsilon: float | Fraction) -> UndecidedError:
+    return UndecidedError(
         f"{what} lies between {lower} and {upper}, so it is not certain whether it is below "
-        f"epsilon_safe = {epsilon}; use exact values, or an epsilon_safe that is farther away"
+        f"epsilon_safe = {epsilon}",
+        {
+            "exact": "use exact values",
+            "epsilon_safe": "an epsilon_safe that is farther away",
+        },
     )
 
 

@@ -22,13 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dead_ends.bellman import evaluate_policy, value_iteration
-from dead_ends.certificate import certify
+from dead_ends.certificate import find_witnesses
 from dead_ends.checker import Certificate
 from dead_ends.conventions import CriticConvention, ValueConvention
 from dead_ends.labels import classify
 from dead_ends.model import Geometry, SafeMDP
 from dead_ends.results import INFINITE, Label, Labelling, Values
-from dead_ends.thresholds import threshold_interval
+from dead_ends.thresholds import ThresholdInterval, threshold_interval
 
 __all__ = ["layout_by_survival_time", "report_page"]
 
@@ -64,13 +64,16 @@ def report_page(
     if policies is None:
         policies = {"uniformly random policy": _uniform(model)}
     labelling = classify(model)
+    intervals = [threshold_interval(model, gamma) for gamma in GAMMAS]
     content = {
         "title": title,
         "kind": "deterministic" if model.is_deterministic else "stochastic",
-        **_states(model, labelling, certify(model, labelling)),
+        "estimate": model.estimate,
+        **_states(model, labelling, find_witnesses(model, labelling)),
         **_picture(model, labelling),
         "gammas": GAMMAS,
-        "intervals": [_interval(model, gamma) for gamma in GAMMAS],
+        "intervals": [_upper(interval) for interval in intervals],
+        "intervalTexts": [str(interval) for interval in intervals],
         "critics": [_critic("best policy, Q*", [value_iteration(model, g, **TIME) for g in GAMMAS])]
         + [
             _critic(name, [evaluate_policy(model, policy, g, **TIME) for g in GAMMAS])
@@ -155,11 +158,10 @@ def _picture(model: SafeMDP, labelling: Labelling) -> dict[str, Any]:
     }
 
 
-def _interval(model: SafeMDP, gamma: float) -> float | None:
-    """The largest exact threshold; None if there is no exact one, or no bound."""
-    interval = threshold_interval(model, gamma)
-    upper = float(interval.upper)
-    return None if interval.empty or not np.isfinite(upper) else upper
+def _upper(interval: ThresholdInterval) -> float | None:
+    """The largest exact threshold; None if there is none, no bound, or no float so small."""
+    upper = interval.upper
+    return None if not upper or np.isinf(float(upper)) else float(upper)
 
 
 def _critic(name: str, critics: list[Values]) -> dict[str, Any]:

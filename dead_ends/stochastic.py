@@ -13,7 +13,8 @@ base convention, Q*(s, a) = E V_B(s'), bounds what the action does in one step:
 
     P(enter D or fail | s, a) <= Q*(s, a) / gamma**H_E.
 
-Whole episodes. Theorem 2 fails for every threshold: small risks add up. Let X be an
+Whole episodes. From states at risk Theorem 2 fails for every threshold: small risks add up. (For
+the states with P_min = 0 some threshold works, see :mod:`dead_ends.thresholds`.) Let X be an
 undiscounted critic (gamma_safe = 1): X(fail) = 1 and E[X(s') | s, recovery] <= X(s), as holds
 for X = P_min with a recovery policy that is greedy on it, and for X = X^pi with recovery pi. Let
 the filter let an action through if E[X(s') | s, a] < epsilon, for any task policy, which may
@@ -39,6 +40,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from dead_ends.conventions import CriticConvention, ValueConvention
+from dead_ends.discount import SMALLEST_NORMAL
 from dead_ends.enclosure import check_width, enclose
 from dead_ends.exact import ExactProblem, exact_rows
 from dead_ends.labels import classify
@@ -92,7 +94,7 @@ class ExpectedSurvival:
     def discounted(self, gamma_safe: float | Fraction) -> NDArray[np.float64]:
         """float (S,): gamma**E_max[T], a lower bound of V_B = min E gamma**T, rounded downward.
 
-        1 on fail states, 0 where failure is not certain.
+        1 on fail states, 0 where failure is not certain or the power is too small for floats.
         """
         time = self.upper.astype(np.float64)
         finite = np.where(np.isinf(time), 0.0, time)
@@ -100,6 +102,7 @@ class ExpectedSurvival:
         # Relative errors: of gamma itself, of log and the product, and of exp.
         error = (2 * finite + 4 * np.abs(exponent) + 8) * 2.0**-52
         power = np.maximum(np.exp(exponent) * (1 - error), 0.0)
+        power[power < SMALLEST_NORMAL] = 0.0  # subnormal floats may be rounded up by half
         return np.where(finite > 0, power, np.where(np.isinf(time), 0.0, 1.0))
 
 
@@ -189,13 +192,17 @@ def one_step_risk(values: Values, survival: ExpectedSurvival) -> NDArray[np.floa
         survival: of the same model.
 
     Raises:
-        ValueError: for another convention.
+        ValueError: for another convention; if the model is an estimate.
     """
     _check_convention(values)
+    values.model.refuse_estimate("a bound of the risk")
     scale = survival.discounted(values.gamma_safe)[survival.dead].min(initial=1.0)
+    positive = np.asarray(values.Q_upper > 0, dtype=np.bool_)
     Q = values.Q_upper.astype(np.float64) * (1 + 2.0**-51)
-    risk = np.minimum(Q / max(scale, np.finfo(np.float64).tiny) * (1 + 2.0**-51), 1.0)
-    return np.where(np.isinf(Q), Q, risk)
+    Q = np.where(positive, np.nextafter(Q, math.inf), 0.0)
+    # Where gamma**H_E is too small for floats, only a Q that is 0 bounds anything.
+    risk = np.where(positive, 1.0, 0.0) if scale == 0 else Q / scale * (1 + 2.0**-51)
+    return np.where(np.isinf(Q), Q, np.minimum(risk, 1.0))
 
 
 @dataclass(frozen=True)
@@ -282,9 +289,10 @@ def episode_guarantee(
 
     Raises:
         ValueError: if the critic is discounted or in another convention, if epsilon_safe lies
-            outside [0, 1], if there is no first state.
+            outside [0, 1], if there is no first state, if the model is an estimate.
     """
     _check_convention(values)
+    values.model.refuse_estimate("a guarantee")
     if values.gamma_safe != 1:
         raise ValueError(f"the guarantee needs gamma_safe = 1, not {values.gamma_safe}")
     if not 0 <= epsilon_safe <= 1:

@@ -37,9 +37,18 @@ from numpy.typing import NDArray
 
 from dead_ends.bellman import value_iteration
 from dead_ends.conventions import CriticConvention, ValueConvention
-from dead_ends.discount import Discount, Powers, power, read_discount
+from dead_ends.discount import (
+    SMALLEST_NORMAL,
+    Discount,
+    Powers,
+    compare_power,
+    power_at_most,
+    read_discount,
+    scientific,
+)
 from dead_ends.labels import classify, safe_actions
 from dead_ends.model import SafeMDP
+from dead_ends.precision import UndecidedError
 
 __all__ = ["ThresholdInterval", "threshold_interval"]
 
@@ -50,14 +59,17 @@ class ThresholdInterval:
 
     Attributes:
         upper: the greatest of them; inf if no action leaves the safe set; 0 if empty. A
-            Fraction in exact calculations. In a deterministic model the float
-            ``gamma_safe ** exponent``; in a stochastic one a lower bound of eps_Z.
-        exponent: upper = gamma_safe**exponent in deterministic models, else None.
+            Fraction in exact calculations. Else a float: in a deterministic model
+            ``gamma_safe ** exponent``, or, where that is subnormal, the greatest float that is
+            not above it; in a stochastic one a lower bound of eps_Z. None if it is positive
+            but smaller than every float: no float separates safe from unsafe actions then, and
+            ``exact=True`` tells it.
+        exponent: upper is gamma_safe**exponent in deterministic models, else None.
         gamma_safe: the discount.
         lower: 0, not included.
     """
 
-    upper: Discount
+    upper: Discount | None
     exponent: int | None
     gamma_safe: Discount
     lower: int = 0
@@ -78,9 +90,17 @@ class ThresholdInterval:
         """
         if epsilon_safe != epsilon_safe:
             raise ValueError("epsilon_safe is NaN")
+        if self.upper is None:
+            return isinstance(epsilon_safe, Fraction) and self._is_reached_by(epsilon_safe)
         if isinstance(self.upper, Fraction) and math.isfinite(epsilon_safe):
             epsilon_safe = Fraction(str(epsilon_safe))
         return self.lower < epsilon_safe <= self.upper
+
+    def _is_reached_by(self, epsilon_safe: Fraction) -> bool:
+        """0 < epsilon_safe <= gamma_safe**exponent, where that is smaller than every float."""
+        assert self.exponent is not None
+        gamma = Fraction(repr(self.gamma_safe))
+        return epsilon_safe > 0 and compare_power(epsilon_safe, gamma, self.exponent) <= 0
 
     @property
     def recommended(self) -> float | None:
@@ -88,16 +108,44 @@ class ThresholdInterval:
 
         In a deterministic model it lies between two powers of gamma,
         gamma**(exponent + 1/2), so that no rounding of Q can matter; else half of ``upper``,
-        at most 1/2 (where the interval has no upper end, or gamma = 1).
+        at most 1/2 (where the interval has no upper end, or gamma = 1, or floats are too coarse
+        for powers to lie between). If only one float is in the interval, it is that.
         """
-        if self.empty:
+        if self.upper is None or self.empty:
             return None
-        if self.exponent is None or self.gamma_safe == 1:
-            between = min(float(self.upper), 1.0) / 2
-        else:
-            between = float(self.gamma_safe) ** (self.exponent + 0.5)
-        candidates = (between, float(self.upper))
-        return next((epsilon for epsilon in candidates if self.contains(epsilon)), None)
+        top = min(float(self.upper), 1.0)
+        candidates = [top / 2, top, math.nextafter(top, 0.0)]
+        if self.exponent is not None and self.gamma_safe != 1:
+            candidates.insert(0, float(self.gamma_safe) ** (self.exponent + 0.5))
+        inside = [epsilon for epsilon in candidates if self.contains(epsilon)]
+        away = [epsilon for epsilon in inside if epsilon < self.upper]
+        return next(iter(away + inside), None)
+
+    def __str__(self) -> str:
+        """The interval for a sentence: what epsilon_safe may be."""
+        if self.empty:
+            return "none separates safe from unsafe actions"
+        if self.upper == math.inf:
+            return "any, for no action leaves the safe states"
+        power = "" if self.exponent is None else f"gamma_safe**{self.exponent}"
+        written = None if self.upper is None else _written(self.upper)
+        joined = " = ".join(filter(None, (power, written)))
+        size = "" if written else f"about {self._size()}"
+        smaller = "" if self.recommended else "which is smaller than every float"
+        return f"0 < epsilon_safe <= {', '.join(filter(None, (joined, size, smaller)))}"
+
+    def _size(self) -> str:
+        if self.upper is not None:
+            return scientific(self.upper)
+        assert self.exponent is not None
+        return scientific(self.gamma_safe, self.exponent)
+
+
+def _written(number: Discount) -> str | None:
+    """All digits of a number; None of a long fraction, or of a float that has few."""
+    if isinstance(number, Fraction):
+        return str(number) if number.denominator < 10**12 else None
+    return repr(number) if number >= SMALLEST_NORMAL else None
 
 
 def threshold_interval(
@@ -139,9 +187,10 @@ def threshold_interval(
     upper = values.Q_lower[leaving].min()
     if not upper > 0 and values.Q_upper[leaving].min() > 0:
         state, action = np.argwhere(leaving & ~np.asarray(values.Q_lower > 0, dtype=np.bool_))[0]
-        raise ValueError(
+        raise UndecidedError(
             f"{model.state_name(state)}, {model.action_name(action)}: Q is positive, but floats "
-            f"only tell that it is at most {values.Q_upper[state, action]:.3g}; use exact=True"
+            f"only tell that it is at most {values.Q_upper[state, action]:.3g}",
+            {"exact": "use exact=True"},
         )
     return ThresholdInterval(upper if exact else float(upper), None, gamma)
 
@@ -156,7 +205,9 @@ def _from_horizon(model: SafeMDP, gamma: Discount, powers: Powers) -> ThresholdI
         exponent = None
     if exponent is None:
         return ThresholdInterval(0, None, gamma)
-    return ThresholdInterval(power(gamma, exponent), exponent, gamma)
+    if isinstance(gamma, Fraction):
+        return ThresholdInterval(gamma**exponent, exponent, gamma)
+    return ThresholdInterval(power_at_most(gamma, exponent), exponent, gamma)
 
 
 def _enters_fail(model: SafeMDP, states: NDArray[np.bool_]) -> bool:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from dead_ends.animation import Run, animate_runs
 from dead_ends.bellman import evaluate_policy, value_iteration
 from dead_ends.conventions import CriticConvention, ValueConvention
+from dead_ends.discount import Discount, power, scientific
 from dead_ends.envs.brake import (
     BrakeLattice,
     brake,
@@ -36,7 +37,7 @@ from dead_ends.envs.bridge import bridge
 from dead_ends.envs.gridworld import DEFAULT_MAP, gridworld, parse_map
 from dead_ends.envs.lifegate import lifegate
 from dead_ends.expectile import expectile_iteration
-from dead_ends.io.atomic import atomic_path
+from dead_ends.io.atomic import atomic_path, check_target
 from dead_ends.io.errors import located
 from dead_ends.labels import classify, safe_actions
 from dead_ends.methods import conservatism
@@ -44,6 +45,7 @@ from dead_ends.model import SafeMDP
 from dead_ends.plot import Blocked, Boundary, plot_boundaries, plot_map
 from dead_ends.policies import allowed_actions, greedy_actions, recovery_policy
 from dead_ends.policy_input import as_distribution
+from dead_ends.precision import UndecidedError
 from dead_ends.results import Label, Labelling, Values
 from dead_ends.thresholds import threshold_interval
 
@@ -138,14 +140,15 @@ def brake_figure(scene: Scene, labelling: Labelling, arguments: argparse.Namespa
     """The paper's first figure from exact values, and what each critic takes away."""
     lattice, gamma = _lattice(arguments), arguments.gamma_safe
     random = uniform_driver(lattice)
-    optimal = value_iteration(scene.model, gamma, **TIME)
-    weak = evaluate_policy(
-        scene.model, weak_braker(lattice, max(1, lattice.max_braking - 1)), gamma
-    )
-    late = evaluate_policy(scene.model, _late(lattice), gamma, **TIME)
+    exact = arguments.exact or None
+    optimal = value_iteration(scene.model, gamma, exact=exact, **TIME)
+    braking = weak_braker(lattice, max(1, lattice.max_braking - 1))
+    weak = evaluate_policy(scene.model, braking, gamma, exact=exact)
+    late = evaluate_policy(scene.model, _late(lattice), gamma, exact=exact, **TIME)
     uniform = evaluate_policy(scene.model, random, gamma, **TIME)
     trained = [(tau, expectile_iteration(scene.model, random, tau, gamma)) for tau in (0.1, 0.3)]
-    epsilon = gamma ** (labelling.horizon or 0)
+    horizon = labelling.horizon or 0
+    epsilon_text = scientific(gamma, horizon, digits=3)
     metres = _LATE * lattice.max_distance // 100 * lattice.distance_step
     lines = [
         ("best policy, $Q^*$: the optimal boundary", optimal),
@@ -160,43 +163,41 @@ def brake_figure(scene: Scene, labelling: Labelling, arguments: argparse.Namespa
         ("late braker", late),
         ("random driver", uniform),
     ]
-    thresholds = (epsilon, 0.7, 0.3)
+
+    def blocked(values: Values) -> tuple[float, ...]:
+        thresholds = (power(values.gamma_safe, horizon), 0.7, 0.3)
+        results = (conservatism(scene.model, values, epsilon) for epsilon in thresholds)
+        return tuple(result.blocked_safe_actions_share for result in results)
+
     return plot_boundaries(
         scene.model,
         labelling,
-        [Boundary(name, _unsafe(values, labelling, epsilon)) for name, values in lines],
-        blocked=[
-            Blocked(
-                name,
-                tuple(
-                    conservatism(scene.model, v, e).blocked_safe_actions_share for e in thresholds
-                ),
-            )
-            for name, v in rows
-        ],
-        thresholds=[rf"$\gamma^H$ = {epsilon:.3g}", "0.7", "0.3"],
+        [Boundary(name, _unsafe(values, labelling, horizon)) for name, values in lines],
+        blocked=[Blocked(name, blocked(values)) for name, values in rows],
+        thresholds=[rf"$\gamma^H$ = {epsilon_text}", "0.7", "0.3"],
         title=rf"What safety critics call unsafe ($\gamma$ = {gamma:g}, $\epsilon = \gamma^H$)",
     )
 
 
-def _unsafe(values: Values, labelling: Labelling, epsilon: float) -> NDArray[np.bool_]:
-    """The states that a deterministic step may not enter: Q = V(s') >= epsilon (see TIME)."""
-    return np.asarray(labelling.fail | (epsilon <= values.V))
+def _unsafe(values: Values, labelling: Labelling, horizon: int) -> NDArray[np.bool_]:
+    """The states that a deterministic step may not enter: Q = V(s') >= gamma^H (see TIME)."""
+    return np.asarray(labelling.fail | (power(values.gamma_safe, horizon) <= values.V), dtype=bool)
 
 
-def map_figure(scene: Scene, labelling: Labelling, _arguments: argparse.Namespace) -> Figure:
+def map_figure(scene: Scene, labelling: Labelling, arguments: argparse.Namespace) -> Figure:
     """Labels, survival times and safe actions; where none is safe, the least risky ones."""
     arrows, name = safe_actions(scene.model, labelling), "safe action"
     if labelling.at_risk.any():
-        least_risky = greedy_actions(value_iteration(scene.model, 1.0).Q)
+        critic = value_iteration(scene.model, 1.0, exact=arguments.exact or None)
+        least_risky = greedy_actions(critic.Q)
         arrows = arrows | (least_risky & labelling.at_risk[:, None])
         name = "safe action; at risk: least risky action"
     return plot_map(scene.model, labelling, title=scene.title, actions=arrows, actions_name=name)
 
 
-def runs(scene: Scene, gamma_safe: float, epsilon_safe: float) -> list[Run]:
+def runs(scene: Scene, gamma_safe: float, epsilon_safe: Discount, exact: bool = False) -> list[Run]:
     """The same task policy from the same start, without and with behavior correction."""
-    values = value_iteration(scene.model, gamma_safe)
+    values = value_iteration(scene.model, gamma_safe, exact=exact)
     everything = scene.model.available
     allowed = allowed_actions(values, epsilon_safe)
     recovery = recovery_policy(values.Q)
@@ -224,9 +225,9 @@ def _run(scene: Scene, name: str, allowed: NDArray[np.bool_], recovery: NDArray[
     return Run(name, np.array(states), np.array(corrected, dtype=bool))
 
 
-def summary(scene: Scene, labelling: Labelling, gamma_safe: float) -> str:
+def summary(scene: Scene, labelling: Labelling, gamma_safe: float, exact: bool = False) -> str:
     """The numbers that belong to the picture, a line each."""
-    interval = threshold_interval(scene.model, gamma_safe)
+    interval = threshold_interval(scene.model, gamma_safe, exact=exact)
     rows = [
         ("states", f"{scene.model.num_states:,}"),
         ("|S_fail|", f"{labelling.count(Label.FAIL):,}"),
@@ -246,7 +247,7 @@ def summary(scene: Scene, labelling: Labelling, gamma_safe: float) -> str:
             "H_b",
             str(labelling.boundary_horizon) if labelling.boundary_horizon is not None else "none",
         ),
-        ("threshold", f"0 < epsilon_safe <= {interval.upper:.6g}"),
+        ("threshold", str(interval)),
     ]
     width = max(len(name) for name, _ in rows)
     return "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
@@ -281,6 +282,12 @@ def _parser() -> argparse.ArgumentParser:
         task.add_argument("--gif", type=Path, help="also write an animation here (.gif)")
         task.add_argument("--gamma-safe", type=float, default=0.99, help="discount of the cost")
         task.add_argument("--epsilon-safe", type=float, help="threshold of the animation")
+        task.add_argument(
+            "--exact",
+            action="store_true",
+            help="solve in fractions, decimals as they are written (0.1 is 1/10); critics of "
+            "policies that act at random stay floats within bounds",
+        )
         return task
 
     default = BrakeLattice()
@@ -317,15 +324,27 @@ def _check(arguments: argparse.Namespace) -> None:
     ):
         if path is not None and path.suffix.lower() not in formats:
             raise ValueError(f"{option}: {path} must end in {', '.join(formats)}")
+    inputs = [arguments.map] if getattr(arguments, "map", None) is not None else []
+    for path in (arguments.out or _default_picture(arguments.scene), arguments.gif):
+        if path is not None:
+            check_target(path, *inputs)
 
 
-def _epsilon(model: SafeMDP, arguments: argparse.Namespace) -> float:
+def _default_picture(scene: str) -> Path:
+    """Where the picture goes if nothing is said and there is no display."""
+    return Path(f"{scene}.png")
+
+
+def _epsilon(model: SafeMDP, arguments: argparse.Namespace) -> Discount:
     """The threshold of the animation: as given, or the largest one that is exact."""
     if arguments.epsilon_safe is not None:
         return float(arguments.epsilon_safe)
     if not model.is_deterministic:
         return PAPER_THRESHOLD
-    return min(1.0, float(threshold_interval(model, arguments.gamma_safe).upper))
+    interval = threshold_interval(model, arguments.gamma_safe, exact=arguments.exact)
+    if interval.upper is None:
+        raise UndecidedError(f"the threshold is {interval}", {"exact": "use exact=True"})
+    return min(1, interval.upper)
 
 
 def _has_display() -> bool:
@@ -353,6 +372,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         return _complain(f"{place}{error.strerror or error}")
+    except UndecidedError as error:
+        return _complain(error.with_options(vars(arguments)))
     except ValueError as error:
         return _complain(str(error))
     return 0
@@ -366,17 +387,18 @@ def _complain(message: str) -> int:
 def _draw(arguments: argparse.Namespace) -> None:
     scene: Scene = arguments.build(arguments)
     labelling = classify(scene.model)
-    print(summary(scene, labelling, arguments.gamma_safe))
+    print(summary(scene, labelling, arguments.gamma_safe, arguments.exact))
     figure: Figure = arguments.draw(scene, labelling, arguments)
     window = arguments.out is None and _has_display()
     if window:
         print("picture    in its window")
     else:
-        path = arguments.out or Path(f"{scene.name}.png")
+        path = arguments.out or _default_picture(scene.name)
         write_figure(figure, path)
         print(f"picture    {path}")
     if arguments.gif is not None:
-        episodes = runs(scene, arguments.gamma_safe, _epsilon(scene.model, arguments))
+        epsilon = _epsilon(scene.model, arguments)
+        episodes = runs(scene, arguments.gamma_safe, epsilon, arguments.exact)
         write_animation(scene, labelling, episodes, arguments.gif)
         print(f"animation  {arguments.gif}")
     if window:

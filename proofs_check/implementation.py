@@ -213,6 +213,7 @@ def _scaled_interval(power: int) -> Implementation:
 
     def interval(model: SafeMDP, gamma: Discount, **convention: Any) -> ThresholdInterval:
         found = threshold_interval(model, gamma, **convention)
+        assert found.upper is not None  # only a float can be too small
         return replace(found, upper=found.upper * gamma**power)
 
     return replace(LIBRARY, interval=interval)

@@ -1,13 +1,16 @@
 """Guess and verify where value iteration is hopeless; honest bounds where guesses fail."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from scipy import sparse
 
-from dead_ends import linear
+from dead_ends import enclosure, linear
 from dead_ends.bellman import value_iteration
 from dead_ends.linear import LinearSolver
 from dead_ends.model import SafeMDP
+from dead_ends.precision import UndecidedError
 
 
 def walk(size: int, up: float) -> SafeMDP:
@@ -147,3 +150,45 @@ def test_a_hundred_thousand_states() -> None:
     values = value_iteration(walk(100_000, 0.49), 0.999)
     assert (values.V_upper - values.V_lower).max() < 1e-11
     assert values.iterations == 20
+
+
+def slow_chain(n: int) -> SafeMDP:
+    """From the middle n lucky flips in a row lead to fail (0) or to a goal (2 n)."""
+    states = np.arange(2 * n + 1)
+    outward = states + np.sign(states - n)
+    kernel = np.zeros((2 * n + 1, 1, 2 * n + 1))
+    kernel[states[1:-1], 0, outward[1:-1]] = 0.5
+    kernel[states[1:-1], 0, n] += 0.5
+    kernel[n, 0, [n - 1, n, n + 1]] = 0.5, 0, 0.5
+    return SafeMDP.stochastic(kernel, states == 0, terminal=states == 2 * n)
+
+
+def test_more_iterations_are_advised_where_they_help(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(enclosure, "_guess", lambda *_: None)
+    model = noisy_grid(12, 0.4, np.random.default_rng(3))
+    for made in (50, 150):
+        with pytest.raises(UndecidedError) as raised:
+            value_iteration(model, 0.99, max_iterations=made)
+        assert set(raised.value.remedies) == {"exact", "max_iterations", "tolerance"}
+        advice = raised.value.remedies["max_iterations"]
+        advised = int(advice.removeprefix("raise max_iterations to "))
+        values = value_iteration(model, 0.99, max_iterations=advised)
+        assert made < values.iterations <= advised
+
+
+def test_more_iterations_are_not_advised_where_they_may_not_help(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Without a discount bounds come to rest; with one they stay as wide as rounding makes them."""
+    with pytest.raises(UndecidedError) as raised:
+        value_iteration(slow_chain(20), 1.0, max_iterations=300)
+    assert set(raised.value.remedies) == {"exact", "gamma_safe", "tolerance"}
+    accepted = float(raised.value.remedies["tolerance"].removeprefix("accept tolerance="))
+    value_iteration(slow_chain(20), 1.0, max_iterations=300, tolerance=accepted)
+    value_iteration(slow_chain(20), 0.99)
+    assert value_iteration(slow_chain(20), 1.0, exact=True).V[20] == Fraction(1, 2)
+    for gamma, tolerance in ((0.99, 1e-17), (1 - 1e-9, 1e-9)):
+        monkeypatch.setattr(enclosure, "_guess", lambda *_: None)
+        with pytest.raises(UndecidedError) as raised:
+            value_iteration(walk(12, 0.5), gamma, tolerance=tolerance, max_iterations=100)
+        assert set(raised.value.remedies) == {"exact", "tolerance"}

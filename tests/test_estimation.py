@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,11 +14,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from dead_ends.bellman import value_iteration
+from dead_ends.certificate import certify
+from dead_ends.checker import CertificateError, check_certificate
+from dead_ends.correction import corrected_model
 from dead_ends.envs.brake import BrakeLattice, brake
+from dead_ends.envs.safe_mdp_env import SafeMDPEnv
 from dead_ends.estimation import Unseen, estimate_model
+from dead_ends.io import load_model, save_model
+from dead_ends.io.gymnasium_table import load_gymnasium
+from dead_ends.io.networkx_graph import from_networkx, to_networkx
 from dead_ends.labels import classify
 from dead_ends.methods import conservatism, rrl_msdp
 from dead_ends.model import SafeMDP
+from dead_ends.stochastic import episode_guarantee, expected_survival, one_step_risk
 
 F = Fraction
 
@@ -32,10 +43,10 @@ def log_of(model: SafeMDP) -> NDArray[np.int64]:
 
 
 def test_what_was_tried_is_known_and_the_rest_is_guessed() -> None:
-    pessimistic = estimate_model(4, 2, DATA, FAIL)
+    pessimistic = estimate_model(4, 2, DATA, FAIL, deterministic=True)
     assert pessimistic.is_deterministic
     assert pessimistic.successors().tolist() == [[1, 2], [1, 3], [3, 3], [-1, -1]]
-    optimistic = estimate_model(4, 2, DATA, FAIL, Unseen.OPTIMISTIC)
+    optimistic = estimate_model(4, 2, DATA, FAIL, Unseen.OPTIMISTIC, deterministic=True)
     assert optimistic.successors().tolist() == [[1, 2], [1, 1], [3, 2], [-1, -1]]
     # State 2 is dead in truth, if its other action leads to failure too: the optimist errs.
     assert classify(pessimistic).safe.tolist() == [True, True, False, False]
@@ -54,7 +65,7 @@ def test_without_data_everything_is_guessed() -> None:
 def test_actions_that_do_not_exist_are_not_guessed() -> None:
     available = np.array([[True, True], [True, False], [True, False], [False, False]])
     for unseen in Unseen:
-        model = estimate_model(4, 2, DATA, FAIL, unseen, available=available)
+        model = estimate_model(4, 2, DATA, FAIL, unseen, deterministic=True, available=available)
         assert model.successors().tolist() == [[1, 2], [1, -1], [3, -1], [-1, -1]]
 
 
@@ -95,6 +106,83 @@ def test_rewards_are_averaged_and_guessed() -> None:
         assert model.initial.tolist() == [1, 0, 0, 0]
 
 
+def slippery_brake(cells: int, slide: float) -> SafeMDP:
+    """A car that can brake or coast on a slope: its brakes let it slide on now and then."""
+    P = np.zeros((cells + 1, 2, cells + 1))
+    for s in range(cells):
+        P[s, 0, s], P[s, 0, s + 1] = 1 - slide, slide
+        P[s, 1, s + 1] = 1
+    return SafeMDP.stochastic(P, np.arange(cells + 1) == cells)
+
+
+def sampled(model: SafeMDP, times: int, seed: int) -> NDArray[np.int64]:
+    """Each pair tried so many times."""
+    rng = np.random.default_rng(seed)
+    P = model.transitions().toarray().reshape((*model.available.shape, -1))
+    pairs = np.argwhere(model.available)
+    tries = [(s, a, t) for s, a in pairs for t in rng.choice(len(P), times, p=P[s, a])]
+    return np.array(tries)
+
+
+def test_twenty_samples_a_pair_promise_nothing() -> None:
+    """Brakes that slide in a tenth of the steps: in some cells twenty tries did not show it."""
+    task = slippery_brake(8, 0.1)
+    estimate = estimate_model(9, 2, sampled(task, 20, seed=1), task.fail)
+    assert estimate.estimate
+    wrong = classify(estimate).safe & ~classify(task).safe
+    assert wrong.sum() == 7
+    last = int(np.flatnonzero(wrong)[-1])
+    # What it would promise, were it the task: no failure in 100 steps.
+    believed = replace(estimate, estimate=False)
+    promised = episode_guarantee(value_iteration(believed, 1.0), 0.001, last).probability(100)
+    assert promised > 0.9
+    alive = (~task.fail).astype(float)
+    for _ in range(100):
+        alive = np.where(task.fail, 0.0, (task.transitions() @ alive).reshape(-1, 2).max(axis=1))
+    assert alive[last] < 0.0004
+    refused = "would be no promise about the task: the model is an estimate from a log"
+    values = value_iteration(estimate, 1.0)
+    with pytest.raises(ValueError, match=f"^a guarantee {refused}$"):
+        episode_guarantee(values, 0.001, last)
+    with pytest.raises(ValueError, match=f"^a bound of the risk {refused}$"):
+        one_step_risk(values, expected_survival(estimate))
+    with pytest.raises(ValueError, match=f"^a certificate {refused}$"):
+        certify(estimate)
+    with pytest.raises(CertificateError, match="^the model is an estimate from a log, so its"):
+        check_certificate(estimate, certify(believed))
+
+
+def test_the_mark_survives(tmp_path: Path) -> None:
+    estimate = estimate_model(4, 2, DATA, FAIL, initial=[0])
+    save_model(tmp_path / "model.npz", estimate)
+    assert load_model(tmp_path / "model.npz").estimate
+    assert from_networkx(to_networkx(estimate)).estimate
+    assert corrected_model(estimate, value_iteration(estimate, 0.9), 0.5).estimate
+    assert "an estimate" in repr(estimate)
+    asserted = estimate_model(4, 2, DATA, FAIL, deterministic=True)
+    save_model(tmp_path / "model.npz", asserted)
+    assert not load_model(tmp_path / "model.npz").estimate
+    assert not from_networkx(to_networkx(asserted)).estimate
+
+
+@pytest.mark.parametrize("suffix", [".drn", ".tra"])
+def test_formats_that_cannot_say_it_are_refused(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"model{suffix}"
+    message = f"^{path}: the format cannot say that the model is an estimate from a log; write .npz"
+    with pytest.raises(ValueError, match=message):
+        save_model(path, estimate_model(4, 2, DATA, FAIL))
+    assert not list(tmp_path.iterdir())
+
+
+def test_only_what_is_asserted_and_not_hoped_is_no_estimate() -> None:
+    """Even one successor a pair: what was seen once may be one of many outcomes."""
+    assert estimate_model(4, 2, DATA, FAIL).estimate
+    assert not estimate_model(4, 2, DATA, FAIL, deterministic=True).estimate
+    assert estimate_model(4, 2, DATA, FAIL, "optimistic", deterministic=True).estimate
+    complete = [*DATA, (1, 1, 1), (2, 1, 2)]
+    assert not estimate_model(4, 2, complete, FAIL, "optimistic", deterministic=True).estimate
+
+
 @st.composite
 def models_with_nested_data(draw: st.DrawFn) -> tuple[SafeMDP, list[NDArray[np.int64]]]:
     """A deterministic model and two growing parts of its log."""
@@ -116,16 +204,20 @@ def test_the_pessimist_is_never_wrong_and_learns(
     model, parts = case
     truth = classify(model).safe
     shape = (model.num_states, model.num_actions)
-    some, more = (classify(estimate_model(*shape, part, model.fail)).safe for part in parts)
+    some, more = (
+        classify(estimate_model(*shape, part, model.fail, deterministic=True)).safe
+        for part in parts
+    )
     assert not (some & ~more).any()
     assert not (more & ~truth).any()
     hopes = [
-        classify(estimate_model(*shape, part, model.fail, "optimistic")).safe for part in parts
+        classify(estimate_model(*shape, part, model.fail, "optimistic", deterministic=True)).safe
+        for part in parts
     ]
     assert not (hopes[1] & ~hopes[0]).any()
     assert not (truth & ~hopes[1]).any()
     for unseen in Unseen:
-        complete = estimate_model(*shape, log_of(model), model.fail, unseen)
+        complete = estimate_model(*shape, log_of(model), model.fail, unseen, deterministic=True)
         assert np.array_equal(complete.successors(), model.successors())
 
 
@@ -137,7 +229,9 @@ def test_conservatism_shrinks_as_coverage_grows_on_the_brake() -> None:
     for share in (0.25, 0.5, 0.75, 1.0):
         data = log[: int(share * len(log))]
         for unseen, counts in ((Unseen.PESSIMISTIC, blocked), (Unseen.OPTIMISTIC, missed)):
-            estimate = estimate_model(model.num_states, model.num_actions, data, model.fail, unseen)
+            estimate = estimate_model(
+                *model.available.shape, data, model.fail, unseen, deterministic=True
+            )
             result = conservatism(model, rrl_msdp(estimate).critic, 0.99**3.5)
             counts.append(result)
     shares = [each.blocked_safe_actions_share for each in blocked]
@@ -163,9 +257,9 @@ def test_where_frequencies_hide_a_risk_the_pessimist_errs_too() -> None:
     ("changes", "message"),
     [
         (
-            {"transitions": [[0, 0, 1], [0, 0, 2]]},
-            r"state 0, action 0 leads to state 1 \(transition 0\) and to state 2; "
-            r"use deterministic=False",
+            {"transitions": [[0, 0, 1], [0, 0, 2]], "deterministic": True},
+            r"state 0, action 0 leads to state 1 \(transition 0\) and to state 2, so the task is "
+            r"not deterministic; leave out deterministic=True",
         ),
         ({"transitions": [[0, 0, 1], [4, 0, 1]]}, r"transition 1: state 4 is not one of 0 to 3"),
         ({"transitions": [[0, 2, 1]]}, r"transition 0: action 2 is not one of 0 to 1"),
@@ -220,3 +314,10 @@ def test_no_fail_state_is_needed_where_nothing_is_guessed() -> None:
     data = np.array([[0, 0, 0], [0, 1, 0]])
     model = estimate_model(1, 2, data, np.array([False]))
     assert classify(model).safe.tolist() == [True]
+
+
+def test_the_mark_survives_being_stepped() -> None:
+    """The environment of an estimate, read as a table with other failures."""
+    env = SafeMDPEnv(estimate_model(4, 2, DATA, FAIL, initial=[0]))
+    assert load_gymnasium(env).estimate
+    assert load_gymnasium(env, fail_states=[2]).estimate

@@ -58,7 +58,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_every_command_is_there(capsys: pytest.CaptureFixture[str]) -> None:
     folder = Path(dead_ends.cli.__file__).parent
-    modules = {path.stem for path in folder.glob("*.py")} - {"__init__", "source"}
+    modules = {path.stem for path in folder.glob("*.py")} - {"__init__", "output", "source"}
     assert set(dead_ends.cli.COMMANDS) == modules
     _, out, _ = run(capsys, "--help")
     assert all(f"\n    {command} " in out for command in modules)
@@ -83,9 +83,15 @@ def test_label_json(capsys: pytest.CaptureFixture[str], corridor: str) -> None:
     assert status == 0
     threshold = summary.pop("threshold")
     assert threshold.pop("recommended") == pytest.approx(0.5**2.5)
-    assert threshold == {"empty": False, "at_most": 0.25, "exponent": 2}
+    assert threshold == {
+        "empty": False,
+        "at_most": 0.25,
+        "exponent": 2,
+        "text": "0 < epsilon_safe <= gamma_safe**2 = 1/4",
+    }
     assert summary == {
         "kind": "deterministic",
+        "estimate": False,
         "states": 4,
         "actions": 2,
         "fail": 1,
@@ -329,7 +335,7 @@ def test_folders_and_damaged_files(
     folder = tmp_path / "folder.npz"
     folder.mkdir()
     assert f"{folder}: Is a directory" in fails(capsys, "label", str(folder))
-    assert f"{folder}: Is a directory" in fails(
+    assert f"{folder}: is a folder" in fails(
         capsys, "convert", "FrozenLake-v1", "--out", str(folder)
     )
     bad = tmp_path / "bad.npz"

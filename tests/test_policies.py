@@ -153,7 +153,7 @@ def test_bounds_decide_for_rounded_values() -> None:
     with pytest.raises(
         ValueError,
         match=r"^state 0, action 1 \(risk\): Q lies between 0.24 and 0.26, so it is not certain "
-        r"whether it is below epsilon_safe = 0.25; use exact values, or an epsilon_safe that is "
+        r"whether it is below epsilon_safe = 0.25: use exact values, or an epsilon_safe that is "
         r"farther away$",
     ):
         allowed_actions(values, 0.25)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -167,3 +168,19 @@ def test_a_model_too_large_for_a_page_is_refused() -> None:
     model = SafeMDP.deterministic(np.zeros((size, 1), dtype=np.int32), np.zeros(size, dtype=bool))
     with pytest.raises(ValueError, match="the page shows at most 100,000 states"):
         report_page(model, "large")
+
+
+def test_what_is_no_guarantee_and_no_float_is_said(browser: Any, tmp_path: Path) -> None:
+    """An estimate in which 1,100 steps pass before failure: 0.5**1100 is no float."""
+    n = 1100
+    after = np.minimum(np.arange(n + 2) + 1, n + 1)
+    table = np.stack([after, np.where(np.arange(n + 2) == 0, 0, after)], axis=1)
+    model = SafeMDP.deterministic(table, np.arange(n + 2) == n + 1)
+    find = open_page(browser, tmp_path / "a.html", report_page(model, "corridor"))
+    assert "estimate" not in find("subtitle").text
+    find("gamma").send_keys("\ue011")  # Home: the least gamma
+    assert "which is smaller than every float" in find("exact").text
+    assert not find("exact").is_enabled()
+    estimate = replace(model, estimate=True)
+    find = open_page(browser, tmp_path / "a.html", report_page(estimate, "corridor"))
+    assert "The model is an estimate from a log" in find("subtitle").text

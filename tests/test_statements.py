@@ -135,7 +135,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     printed = capsys.readouterr().out
     assert "FAILS  After Theorem 2" in printed
     assert "fails at state 0 (P), action 0" in printed
-    assert "(0, 0.9801]" in printed
+    assert "0 < epsilon_safe <= gamma_safe**2 = 0.9801\n" in printed
     policy = ["--policy", str(tmp_path / "policy.npy"), "--epsilon-safe", "0.9"]
     assert main(["verify", str(path), *policy]) == 0
     printed = capsys.readouterr().out

@@ -332,3 +332,31 @@ def test_errors_of_the_guarantee() -> None:
         guarantee.steps(2)
     with pytest.raises(ValueError, match="steps must not be negative, not -1"):
         guarantee.probability(-1)
+
+
+def test_no_risk_is_bounded_by_numbers_that_underflow() -> None:
+    """An action that surely enters a state with T = 1200: gamma**1200 is no float."""
+    n = 1200
+    after = np.minimum(np.arange(n + 2) + 1, n + 1)
+    table = np.stack([after, after], axis=1)
+    table[0, 0] = 0
+    model = SafeMDP.deterministic(table, np.arange(n + 2) == n + 1)
+    survival = expected_survival(model)
+    for gamma in (0.5, Fraction(1, 2)):
+        assert one_step_risk(value_iteration(model, gamma), survival)[0].tolist() == [0, 1]
+    # Here the power is a subnormal float, half of which may be rounding.
+    risk = one_step_risk(value_iteration(model, 0.5377), survival)
+    assert risk[0].tolist() == [0, 1]
+
+
+def test_a_risk_below_every_float_is_not_rounded_to_none_by_underflow() -> None:
+    """State 0 may enter the dead state 1 with a probability that no float can be as small as."""
+    p = Fraction(1, 2) ** 1100
+    P = np.full((3, 2, 3), Fraction(0), dtype=object)
+    P[0, 0, 0] = Fraction(1)
+    P[0, 1, 1], P[0, 1, 0] = p, 1 - p
+    P[1, :, 2] = Fraction(1)
+    model = SafeMDP.stochastic(P, np.array([False, False, True]))
+    risk = one_step_risk(value_iteration(model, Fraction(1, 2)), expected_survival(model))
+    assert risk[0, 0] == 0
+    assert p <= risk[0, 1] < 1e-300

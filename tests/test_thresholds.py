@@ -9,6 +9,7 @@ import pytest
 
 from dead_ends.bellman import value_iteration
 from dead_ends.conventions import CriticConvention, ValueConvention
+from dead_ends.discount import power_at_most
 from dead_ends.labels import classify, safe_actions
 from dead_ends.model import SafeMDP
 from dead_ends.thresholds import ThresholdInterval, threshold_interval
@@ -143,11 +144,72 @@ def test_users_power_is_contained() -> None:
 def test_underflow_keeps_the_interval_open() -> None:
     model = corridor(2000)
     interval = threshold_interval(model, 0.5)
-    assert interval.upper == math.ulp(0.0)
-    assert interval.recommended == interval.upper
+    assert interval.upper is None
+    assert not interval.empty
+    assert interval.recommended is None
+    assert not interval.contains(math.ulp(0.0))
+    assert interval.contains(HALF**2000)
+    assert not interval.contains(HALF**2000 + HALF**2100)
+    assert not interval.contains(Fraction(0))
+    smaller = "gamma_safe**2000, about 8.70981e-603, which is smaller than every float"
+    assert str(interval) == f"0 < epsilon_safe <= {smaller}"
     exact = threshold_interval(model, HALF)
     assert exact.upper == HALF**2000
     assert exact.recommended is None
+    assert str(exact) == str(interval)
+
+
+@pytest.mark.parametrize("gamma", [0.5, 0.7, 0.9, 0.99])
+def test_where_floats_are_subnormal_no_promise_is_rounded(gamma: float) -> None:
+    """Around the least float ``upper`` is the greatest one below the power, if there is one."""
+    exact = Fraction(repr(gamma))
+    last = round(math.log(math.ulp(0.0)) / math.log(gamma))
+    for exponent in (*range(last - 40, last + 20, 3), last, last + 1):
+        interval = ThresholdInterval(power_at_most(gamma, exponent), exponent, gamma)
+        bound = exact**exponent
+        if interval.upper is None:
+            assert bound < math.ulp(0.0)
+            assert interval.recommended is None
+            continue
+        assert interval.upper <= bound < math.nextafter(float(interval.upper), 1)
+        assert interval.recommended is not None
+        assert 0 < interval.recommended <= interval.upper
+        if interval.upper > 2 * math.ulp(0.0):
+            assert interval.recommended < interval.upper
+
+
+@pytest.mark.parametrize(
+    ("gamma", "exponent", "recommended"),
+    [
+        (1 - Fraction(1, 10**400), 3, 0.5),  # as a float it is 1, and no power lies between
+        (1 - 2.0**-53, 1, (1 - 2.0**-53) / 2),
+        (Fraction(1, 10**400), 0, 0.5),
+        (Fraction(1, 10**400), 1, None),
+        (Fraction(1, 3), 2, 3**-2.5),
+    ],
+)
+def test_a_float_is_recommended_if_there_is_one(
+    gamma: Fraction | float, exponent: int, recommended: float | None
+) -> None:
+    interval = threshold_interval(corridor(exponent), gamma)
+    assert interval.exponent == exponent
+    assert interval.recommended == pytest.approx(recommended)
+
+
+def test_what_a_sentence_says_is_true() -> None:
+    said = [
+        (threshold_interval(corridor(2), 0.5), "gamma_safe**2 = 0.25"),
+        (threshold_interval(corridor(2), HALF), "gamma_safe**2 = 1/4"),
+        (threshold_interval(corridor(60), HALF), "gamma_safe**60, about 8.67362e-19"),
+        (threshold_interval(corridor(1070), 0.5), "gamma_safe**1070, about 8e-323"),
+        (threshold_interval(two_rooms(HALF), HALF), "1/8"),
+        (
+            threshold_interval(two_rooms(HALF**1100), HALF),
+            "about 1.84054e-332, which is smaller than every float",
+        ),
+    ]
+    for interval, text in said:
+        assert str(interval) == f"0 < epsilon_safe <= {text}"
 
 
 def two_rooms(p: Fraction) -> SafeMDP:

@@ -35,7 +35,7 @@ def test_the_numbers_of_the_brake(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert rows["|S_safe|"] == str(61 * 11 - 39)
     assert rows["H"] == "3"
     assert rows["H_b"] == "3"
-    assert rows["threshold"] == "0 < epsilon_safe <= 0.125"
+    assert rows["threshold"] == "0 < epsilon_safe <= gamma_safe**3 = 0.125"
     assert rows["picture"] == str(path)
 
 
@@ -55,6 +55,35 @@ def test_maps_and_animations(tmp_path: Path, task: str) -> None:
     assert picture.stat().st_size > 10_000
     with Image.open(animation) as image:
         assert image.n_frames > 5
+
+
+def test_exactly(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In fractions the same pictures, and thresholds that are no floats."""
+    rounded, exact = tmp_path / "rounded.png", tmp_path / "exact.png"
+    brake = [*SMALL_BRAKE, "--gamma-safe", "0.1"]
+    assert main([*brake, "--out", str(rounded)]) == main([*brake, "--exact", "--out", str(exact)])
+    assert "gamma_safe**3 = 1/1000\n" in capsys.readouterr().out
+    assert rounded.read_bytes() == exact.read_bytes()
+    gif = ["bridge", "--gamma-safe", "1", "--exact", "--gif", str(tmp_path / "a.gif")]
+    assert main([*gif, "--out", str(exact)]) == 0
+
+
+def test_a_threshold_that_is_no_float_needs_exactness(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    paths = ["--out", str(tmp_path / "a.png"), "--gif", str(tmp_path / "a.gif")]
+    tiny = ["gridworld", "--gamma-safe", "1e-200", *paths]
+    assert main(tiny) == 2
+    assert "which is smaller than every float: use --exact\n" in capsys.readouterr().err
+    assert main([*tiny, "--exact"]) == 0
+
+
+def test_a_map_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = tmp_path / "map.png"
+    text.write_text("S.>L\n")
+    assert main(["gridworld", "--map", str(text), "--out", str(text)]) == 2
+    assert "map.png: is read as input" in capsys.readouterr().err
+    assert text.read_text() == "S.>L\n"
 
 
 def test_a_users_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

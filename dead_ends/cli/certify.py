@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from dead_ends.cli.output import add_output_argument, check_output
 from dead_ends.cli.source import add_source_arguments, print_rows, read_source
 
 SUMMARY = "write labels with a certificate that proves them"
@@ -11,14 +12,13 @@ SUMMARY = "write labels with a certificate that proves them"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_source_arguments(parser)
-    parser.add_argument(
-        "--out", metavar="CERTIFICATE", required=True, help="the certificate (.npz or .json)"
-    )
+    add_output_argument(parser, "the certificate (.npz or .json)", metavar="CERTIFICATE")
 
 
 def run(arguments: argparse.Namespace) -> int:
     from dead_ends.certificate import certify, save_certificate
 
+    check_output(arguments.out, arguments.file)
     certificate = certify(read_source(arguments))
     save_certificate(arguments.out, certificate)
     print(f"wrote {arguments.out}")

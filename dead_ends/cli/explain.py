@@ -6,6 +6,7 @@ import argparse
 import json
 from dataclasses import asdict
 
+from dead_ends.cli.output import add_exact_argument
 from dead_ends.cli.source import add_source_arguments, read_source
 
 SUMMARY = "say why a state is lost, safe or at risk"
@@ -15,6 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_source_arguments(parser)
     parser.add_argument("state", metavar="STATE", help="the name or the number of a state")
     parser.add_argument("--json", action="store_true", help="print label and witness as JSON")
+    add_exact_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -22,7 +24,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from dead_ends.explanation import explain
 
-    explanation = explain(model, arguments.state)
+    explanation = explain(model, arguments.state, exact=bool(arguments.exact))
     if arguments.json:
         label = explanation.label.name.lower().replace("_", "-")
         print(json.dumps({**asdict(explanation), "label": label}, indent=2))

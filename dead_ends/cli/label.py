@@ -5,37 +5,43 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
+from dead_ends.cli.output import add_exact_argument, add_output_argument, check_output
 from dead_ends.cli.source import (
     add_discount_argument,
     add_source_arguments,
     print_rows,
     read_source,
 )
+from dead_ends.precision import UndecidedError
 
 if TYPE_CHECKING:
     from dead_ends.model import SafeMDP
     from dead_ends.results import Labelling
 
+ESTIMATE = "an estimate from a log: its labels are no guarantee about the task"
 SUMMARY = "label every state: fail, dead, safe or at risk"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_source_arguments(parser)
-    parser.add_argument(
-        "--out", metavar="PATH", help="write labels and survival times (.npz, .csv or .json)"
+    add_output_argument(
+        parser, "write labels and survival times (.npz, .csv or .json)", required=False
     )
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
     add_discount_argument(parser)
+    add_exact_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     from dead_ends.labels import classify
 
+    check_output(arguments.out, arguments.file)
     model = read_source(arguments)
     labelling = classify(model)
-    summary = summarize(model, labelling, arguments.gamma_safe)
+    summary = summarize(model, labelling, arguments.gamma_safe, arguments.exact)
     if arguments.out:
         from dead_ends.io.labelling import save_labelling
 
@@ -50,15 +56,15 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def summarize(model: SafeMDP, labelling: Labelling, gamma_safe: Any) -> dict[str, Any]:
+def summarize(
+    model: SafeMDP, labelling: Labelling, gamma_safe: Any, exact: bool | None
+) -> dict[str, Any]:
     """The numbers of a labelled model, ready for JSON."""
     from dead_ends.results import Label
-    from dead_ends.thresholds import threshold_interval
 
-    interval = threshold_interval(model, gamma_safe)
-    bounded = not interval.empty and not math.isinf(interval.upper)
     return {
         "kind": "deterministic" if model.is_deterministic else "stochastic",
+        "estimate": model.estimate,
         "states": model.num_states,
         "actions": model.num_actions,
         **{label.name.lower(): labelling.count(label) for label in sorted(Label)},
@@ -68,17 +74,39 @@ def summarize(model: SafeMDP, labelling: Labelling, gamma_safe: Any) -> dict[str
         "reachable_horizon": labelling.reachable_horizon,
         "reachable_boundary_horizon": labelling.reachable_boundary_horizon,
         "gamma_safe": float(gamma_safe),
-        "threshold": {
-            "empty": interval.empty,
-            "at_most": float(interval.upper) if bounded else None,
-            "exponent": interval.exponent,
-            "recommended": interval.recommended,
-        },
+        "threshold": _threshold(model, gamma_safe, exact),
     }
+
+
+def _threshold(model: SafeMDP, gamma_safe: Any, exact: bool | None) -> dict[str, Any]:
+    """The thresholds; labels are certain even where floats do not tell these."""
+    from dead_ends.thresholds import threshold_interval
+
+    try:
+        interval = threshold_interval(model, gamma_safe, exact=exact)
+    except UndecidedError as error:
+        known = dict.fromkeys(("empty", "at_most", "exponent", "recommended"))
+        return {**known, "text": f"not known: {error.with_options(('exact', 'gamma_safe'))}"}
+    return {
+        "empty": interval.empty,
+        "at_most": _float_below(interval.upper),
+        "exponent": interval.exponent,
+        "recommended": interval.recommended,
+        "text": str(interval),
+    }
+
+
+def _float_below(upper: float | Fraction | None) -> float | None:
+    """The greatest positive float that is at most ``upper``; None if there is none, or no end."""
+    if not upper or math.isinf(upper):
+        return None
+    nearest = float(upper)
+    return (nearest if nearest <= upper else math.nextafter(nearest, 0.0)) or None
 
 
 def _rows(summary: dict[str, Any]) -> list[tuple[str, Any]]:
     rows = [
+        *([("model", ESTIMATE)] if summary["estimate"] else []),
         ("states", summary["states"]),
         ("fail", summary["fail"]),
         ("dead", summary["dead"]),
@@ -91,7 +119,9 @@ def _rows(summary: dict[str, Any]) -> list[tuple[str, Any]]:
     if summary["reachable_horizon"] is not None:
         rows.append(("H, reachable", summary["reachable_horizon"]))
         rows.append(("H_b, reachable", _known(summary["reachable_boundary_horizon"])))
-    rows.append((f"threshold at gamma_safe {summary['gamma_safe']:g}", _threshold(summary)))
+    rows.append(
+        (f"threshold at gamma_safe {summary['gamma_safe']:g}", _with_example(summary["threshold"]))
+    )
     return rows
 
 
@@ -99,13 +129,6 @@ def _known(horizon: int | None) -> int | str:
     return "none" if horizon is None else horizon
 
 
-def _threshold(summary: dict[str, Any]) -> str:
-    threshold = summary["threshold"]
-    if threshold["empty"]:
-        return "none separates safe from unsafe actions"
-    if threshold["at_most"] is None:
-        return "any, for no action leaves the safe states"
-    power = "" if threshold["exponent"] is None else f"gamma_safe**{threshold['exponent']} = "
-    example = threshold["recommended"]
-    between = "" if example is None else f", for example {example:.12g}"
-    return f"0 < epsilon_safe <= {power}{threshold['at_most']!r}{between}"
+def _with_example(threshold: dict[str, Any]) -> str:
+    text, example = threshold["text"], threshold["recommended"]
+    return text if example is None else f"{text}, for example {example:.12g}"

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dead_ends.cli.output import add_output_argument, check_output
 from dead_ends.cli.source import add_source_arguments, read_source
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ SUMMARY = "write a page that shows labels, witnesses and what critics block"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_source_arguments(parser)
-    parser.add_argument("--out", metavar="PAGE", type=Path, required=True, help="the page (.html)")
+    add_output_argument(parser, "the page (.html)", metavar="PAGE")
     parser.add_argument(
         "--policy",
         metavar="FILE",
@@ -31,7 +32,8 @@ def run(arguments: argparse.Namespace) -> int:
     from dead_ends.io.atomic import atomic_path
     from dead_ends.report import report_page
 
-    if arguments.out.suffix.lower() not in (".html", ".htm"):
+    check_output(arguments.out, arguments.file, *(arguments.policy or ()))
+    if Path(arguments.out).suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"{arguments.out}: the page is written as .html")
     model = read_source(arguments)
     policies = {path.stem: _read_policy(path) for path in arguments.policy or ()}

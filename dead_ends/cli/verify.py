@@ -6,6 +6,7 @@ import argparse
 import textwrap
 from typing import TYPE_CHECKING, Any
 
+from dead_ends.cli.output import add_exact_argument
 from dead_ends.cli.source import (
     add_discount_argument,
     add_source_arguments,
@@ -24,6 +25,7 @@ VERDICTS = {True: "holds", False: "FAILS", None: "open"}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_source_arguments(parser)
     add_discount_argument(parser)
+    add_exact_argument(parser)
     parser.add_argument(
         "--epsilon-safe",
         metavar="EPSILON",
@@ -41,10 +43,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     model = read_source(arguments)
 
+    from dead_ends.discount import read_discount
     from dead_ends.statements import verify_report
 
     policy = None if arguments.policy is None else _read_policy(arguments.policy)
-    found = verify_report(model, arguments.gamma_safe, arguments.epsilon_safe, policy)
+    gamma, _ = read_discount(arguments.gamma_safe, arguments.exact)
+    found = verify_report(model, gamma, arguments.epsilon_safe, policy)
     print(f"{arguments.file}: {model!r}")
     print_rows(_rows(found, arguments.policy))
     for statement in found.statements:
@@ -64,14 +68,14 @@ def _read_policy(path: str) -> Any:
 
 
 def _rows(found: Verification, policy: str | None) -> list[tuple[str, Any]]:
+    from dead_ends.discount import scientific
+
     labelling, interval = found.labelling, found.interval
-    upper = float(interval.upper)
-    thresholds = "none" if interval.empty else f"(0, {upper:.6g}{']' if upper < 2 else ')'}"
     return [
         ("H", "none" if labelling.horizon is None else labelling.horizon),
         ("H_b", "none" if labelling.boundary_horizon is None else labelling.boundary_horizon),
         ("gamma_safe", str(found.gamma_safe)),
-        ("exact thresholds", thresholds),
-        ("epsilon_safe", f"{float(found.epsilon_safe):.6g}"),
+        ("exact thresholds", str(interval)),
+        ("epsilon_safe", scientific(found.epsilon_safe)),
         ("task policy", policy or "the first available action in every state"),
     ]

@@ -45,6 +45,7 @@ from dead_ends.io.explicit import (
     Mask,
     check_action_names,
     check_distributions,
+    check_no_estimate,
     explicit_model,
     is_utf8,
     kind_of_value,
@@ -104,9 +105,11 @@ def save_drn(path: str | os.PathLike[str], model: SafeMDP) -> None:
     geometry and the weights of the initial states are not part of it.
 
     Raises:
-        ValueError: if a name cannot be written, or the folder does not exist.
+        ValueError: if a name cannot be written, the model is an estimate (the format cannot
+            say so), or the folder does not exist.
         OSError: if the file cannot be written; then nothing is left behind.
     """
+    check_no_estimate(path, model)
     check_action_names(path, model)
     for name in model.state_names or ():
         if "\n" in name or "\r" in name or _NAME_BREAK in name or not is_utf8(name):

@@ -35,6 +35,7 @@ __all__ = [
     "Rows",
     "check_action_names",
     "check_distributions",
+    "check_no_estimate",
     "count_distinct",
     "explicit_model",
     "is_utf8",
@@ -321,6 +322,18 @@ def model_rows(model: SafeMDP) -> Rows:
         probability=probability.tolist(),
         num_choices=int(np.count_nonzero(taken)),
     )
+
+
+def check_no_estimate(path: str | os.PathLike[str], model: SafeMDP) -> None:
+    """The formats cannot say that a model is an estimate, and it would be taken for the task.
+
+    Raises:
+        ValueError: naming the file, if the model is an estimate.
+    """
+    if model.estimate:
+        raise ValueError(
+            f"{path}: the format cannot say that the model is an estimate from a log; write .npz"
+        )
 
 
 def model_labels(model: SafeMDP) -> dict[str, Mask]:

@@ -99,7 +99,8 @@ def load_gymnasium(
         transitions = _describe(_read_table(unwrapped.P), unwrapped, rules)
         if fail_states is not None:
             transitions = replace(transitions, fail=state_mask(fail_states, transitions.num_states))
-        return build_model(transitions, fail_if)
+        estimate = isinstance(own, SafeMDP) and own.estimate
+        return replace(build_model(transitions, fail_if), estimate=estimate)
 
 
 def environment_name(environment: Any) -> str:

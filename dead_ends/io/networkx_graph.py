@@ -6,13 +6,15 @@ Nodes are states, edges transitions. Attributes of an edge:
 * ``probability``: needed where an action of a state has several edges; floats or Fractions.
 
 Attributes of a node: ``fail``, ``terminal``, ``initial``, all bool. A node without edges that
-does not fail is a harmless end.
+does not fail is a harmless end. The graph's attribute ``estimate``, if true, says that the model is
+an estimate (see :class:`dead_ends.SafeMDP`).
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Hashable, Iterable
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
@@ -66,7 +68,7 @@ def from_networkx(
         state_names=tuple(str(node) for node in graph.nodes),
         action_names=tuple(str(label) for label in labels) or None,
     )
-    return build_model(transitions, fail_if)
+    return replace(build_model(transitions, fail_if), estimate=bool(graph.graph.get("estimate")))
 
 
 def to_networkx(model: SafeMDP) -> Any:
@@ -76,7 +78,7 @@ def to_networkx(model: SafeMDP) -> Any:
     ``initial``; edges ``action`` (the name, or the number) and ``probability``, a Fraction if
     the model is exact. Fail and terminal states have no edges.
     """
-    graph: Any = nx.MultiDiGraph()
+    graph: Any = nx.MultiDiGraph(estimate=True) if model.estimate else nx.MultiDiGraph()
     initial = np.zeros(model.num_states) if model.initial is None else model.initial
     for state in range(model.num_states):
         graph.add_node(

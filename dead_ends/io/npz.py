@@ -13,6 +13,7 @@ Arrays of a file (S states, A actions):
   place of ``P_data``, for exact models; ``available`` bool (S, A), with a kernel only;
 * ``fail`` bool (S,); ``terminal`` bool (S,); ``rewards`` float (S, A); ``initial``;
 * ``state_names`` and ``action_names``, strings;
+* ``estimate``, one bool: the model is an estimate, see :class:`dead_ends.SafeMDP`;
 * ``geometry_cell`` and the other fields of :class:`dead_ends.Geometry`.
 
 Nothing is ever unpickled.
@@ -24,7 +25,7 @@ import os
 import zipfile
 import zlib
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -43,7 +44,10 @@ Arrays = Mapping[str, NDArray[Any]]
 _KERNEL = ("P_data", "P_indices", "P_indptr")
 _OPTIONAL = ("terminal", "rewards", "initial", "state_names", "action_names")
 _GEOMETRY = tuple(f"geometry_{field.name}" for field in fields(Geometry))
-_KNOWN = {"next_state", "P", "P_exact", "available", "fail", *_KERNEL, *_OPTIONAL, *_GEOMETRY}
+_KNOWN = {
+    *("next_state", "P", "P_exact", "available", "fail", "estimate"),
+    *(*_KERNEL, *_OPTIONAL, *_GEOMETRY),
+}
 
 
 def save_npz(path: str | os.PathLike[str], model: SafeMDP) -> None:
@@ -74,7 +78,7 @@ def load_npz(path: str | os.PathLike[str]) -> SafeMDP:
             )
         if "fail" not in arrays:
             raise ValueError("no array 'fail': which states fail?")
-        return _read_model(arrays)
+        return replace(_read_model(arrays), estimate=_estimate(arrays))
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
@@ -119,6 +123,11 @@ def _read_model(arrays: Arrays) -> SafeMDP:
         return SafeMDP.deterministic(arrays["next_state"], fail, **keywords)
     kernel = arrays["P"] if forms == ["P"] else _read_kernel(arrays, fail)
     return SafeMDP.stochastic(kernel, fail, arrays.get("available"), **keywords)
+
+
+def _estimate(arrays: Arrays) -> bool:
+    with located("estimate"):
+        return "estimate" in arrays and _flag(arrays["estimate"])
 
 
 def _read_kernel(arrays: Arrays, fail: NDArray[Any]) -> Any:
@@ -218,6 +227,8 @@ def _model_arrays(model: SafeMDP) -> dict[str, Any]:
     for name in ("state_names", "action_names"):
         if getattr(model, name) is not None:
             arrays[name] = np.array(getattr(model, name), dtype=np.str_)
+    if model.estimate:
+        arrays["estimate"] = np.True_
     if model.geometry is not None:
         arrays |= _geometry_arrays(model.geometry)
     return arrays

@@ -19,6 +19,8 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -36,6 +38,7 @@ from dead_ends.io.explicit import (
     Mask,
     check_action_names,
     check_distributions,
+    check_no_estimate,
     count_distinct,
     explicit_model,
     is_utf8,
@@ -94,21 +97,21 @@ def save_prism(path: str | os.PathLike[str], model: SafeMDP) -> None:
     whole or not at all, the .tra file last.
 
     Raises:
-        ValueError: if a name cannot be written, or the folder does not exist.
+        ValueError: if a name cannot be written, the model is an estimate (the format cannot
+            say so), or the folder does not exist.
         OSError: if a file cannot be written.
     """
+    check_no_estimate(path, model)
     _check_names(path, model)
     target = Path(path)
-    with atomic_path(target) as temporary:
-        _write_transitions(temporary, model)
-        with atomic_path(target.with_suffix(".lab")) as labels:
-            _write_labels(labels, model)
+    labels, states = (target.with_suffix(suffix) for suffix in (".lab", ".sta"))
+    with ExitStack() as files:  # renamed in reverse order, once all are written
+        _write_transitions(files.enter_context(atomic_path(target)), model)
+        _write_labels(files.enter_context(atomic_path(labels)), model)
         if model.state_names is not None:
-            with atomic_path(target.with_suffix(".sta")) as states:
-                lines = [f"{state}:({name})" for state, name in enumerate(model.state_names)]
-                states.write_text("\n".join([_NAMES_HEADER, *lines]) + "\n", encoding="utf-8")
-        else:
-            target.with_suffix(".sta").unlink(missing_ok=True)  # of the model that was there
+            _write_names(files.enter_context(atomic_path(states)), model.state_names)
+    if model.state_names is None:
+        states.unlink(missing_ok=True)  # of the model that was there
 
 
 def _beside(path: str | os.PathLike[str], suffix: str) -> Path | None:
@@ -402,6 +405,11 @@ def _write_transitions(path: Path, model: SafeMDP) -> None:
             f"{state} {choice} {target} {probability} {action}\n"
             for state, choice, target, probability, action in zip(*columns, strict=True)
         )
+
+
+def _write_names(path: Path, names: Sequence[str]) -> None:
+    lines = [f"{state}:({name})" for state, name in enumerate(names)]
+    path.write_text("\n".join([_NAMES_HEADER, *lines]) + "\n", encoding="utf-8")
 
 
 def _write_labels(path: Path, model: SafeMDP) -> None:

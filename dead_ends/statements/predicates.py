@@ -12,13 +12,13 @@ Notation: ``fail``, ``dead``, ``safe`` are the masks of S_fail, S_dead, S_safe; 
 
 from __future__ import annotations
 
-from decimal import Decimal, localcontext
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dead_ends.discount import compare_power
 from dead_ends.model import SafeMDP
 
 Mask = NDArray[np.bool_]
@@ -170,28 +170,8 @@ def one_step_bound(
 
 
 def below_power(value: Fraction, gamma: Fraction, exponent: Fraction) -> bool:
-    """value < gamma^exponent, decided exactly.
-
-    By logarithms to a hundred digits; where they agree to 80, by value^b < gamma^a for the
-    exponent a/b.
-    """
-    if value <= 0:
-        return True
-    with localcontext() as context:
-        context.prec = 100
-        left = _logarithm(value)
-        right = _decimal(exponent) * _logarithm(gamma)
-        if abs(left - right) > Decimal(10) ** -80 * (1 + abs(right)):
-            return left < right
-    return bool(value**exponent.denominator < gamma**exponent.numerator)
-
-
-def _decimal(number: Fraction) -> Decimal:
-    return Decimal(number.numerator) / Decimal(number.denominator)
-
-
-def _logarithm(number: Fraction) -> Decimal:
-    return _decimal(number).ln()
+    """value < gamma^exponent, decided exactly."""
+    return compare_power(value, gamma, exponent) < 0
 
 
 def survival_bound(alive: Table, X: Table, epsilon: Fraction, steps: int) -> Mask:

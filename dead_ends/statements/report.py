@@ -15,10 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dead_ends.bellman import evaluate_policy, value_iteration
+from dead_ends.discount import power, scientific
 from dead_ends.labels import classify
 from dead_ends.model import SafeMDP
 from dead_ends.policies import allowed_actions, greedy_actions, recovery_policy
 from dead_ends.policy_input import as_distribution, check_policy
+from dead_ends.precision import UndecidedError
 from dead_ends.results import INFINITE, Labelling, Values
 from dead_ends.statements import predicates
 from dead_ends.statements.predicates import Mask
@@ -111,7 +113,8 @@ def verify_report(
     Args:
         model: the model.
         gamma_safe: the discount of the cost.
-        epsilon_safe: the threshold; None takes the recommended one (1/2 if none is right).
+        epsilon_safe: the threshold; None takes the recommended one (1/2 if none is right, and
+            the greatest exact one if no float is).
         policy: the task policy of RRL, int (S,) or probabilities (S, A); None takes the first
             available action in every state.
 
@@ -119,8 +122,9 @@ def verify_report(
         The statements, with what was computed on the way.
 
     Raises:
-        ValueError: for a discount outside (0, 1], a policy that is none of this model, or an
-            epsilon_safe that is not positive.
+        ValueError: for a discount outside (0, 1], a policy that is none of this model, an
+            epsilon_safe that is not positive, or if no float is a threshold and the discount is
+            no Fraction.
     """
     if epsilon_safe is not None and not epsilon_safe > 0:
         raise ValueError(f"epsilon_safe must be positive, not {epsilon_safe}")
@@ -135,13 +139,24 @@ def verify_report(
         own=evaluate_policy(model, task, gamma_safe, exact=exact),
         task=np.asarray(as_distribution(task, model.num_actions) > 0) & model.available,
         region=labelling.safe,
-        epsilon=interval.recommended or 0.5 if epsilon_safe is None else epsilon_safe,
+        epsilon=_threshold(interval) if epsilon_safe is None else epsilon_safe,
     )
     chapters = [_definitions, _values, _policy_sets, _correction]
     statements = [statement for chapter in chapters for statement in chapter(subject)]
     return Verification(
         tuple(statements), labelling, interval, subject.epsilon, subject.best.gamma_safe
     )
+
+
+def _threshold(interval: ThresholdInterval) -> float | Fraction:
+    """The recommended threshold; the greatest one where it is a Fraction that no float is below."""
+    if interval.empty:
+        return 0.5
+    if interval.upper is None:
+        raise UndecidedError(
+            f"the thresholds are {interval}", {"exact": "give gamma_safe as a Fraction"}
+        )
+    return interval.recommended or interval.upper
 
 
 def _definitions(subject: _Subject) -> list[Statement]:
@@ -194,7 +209,7 @@ def _values(subject: _Subject) -> list[Statement]:
         ),
     ]
     if labelling.horizon:
-        bound = best.gamma_safe ** (labelling.horizon - 1)
+        bound = power(best.gamma_safe, labelling.horizon - 1)
         below = np.asarray(best.V_upper < bound, dtype=np.bool_)
         statements.insert(
             1,
@@ -202,7 +217,7 @@ def _values(subject: _Subject) -> list[Statement]:
                 "Lemma 1, second bullet",
                 "V_c^pi >= V_c* >= gamma_safe^(H-1) on S_dead",
                 labelling.dead & (certain | below),
-                f"gamma_safe^(H-1) = {float(bound):.6g}",
+                f"gamma_safe^(H-1) is about {scientific(best.gamma_safe, labelling.horizon - 1)}",
             ),
         )
     if not model.is_deterministic and labelling.paper_safe.any() and labelling.dead.any():
@@ -299,7 +314,7 @@ def _boundary(subject: _Subject) -> Mask:
 def _hope(subject: _Subject) -> Statement:
     """Whether the recovery policy makes failure certain where it need not be."""
     recovery: NDArray[np.int64] = recovery_policy(subject.best)
-    risk = evaluate_policy(subject.model, recovery, 1.0)
+    risk = evaluate_policy(subject.model, recovery, 1.0, exact=subject.best.exact)
     return subject.judged(
         "Recovery objective",
         "the recovery policy greedy on Q* makes failure certain only on S_dead",

@@ -444,3 +444,21 @@ def test_missing_files(tmp_path: Path) -> None:
         save_model(tmp_path / "absent" / "model.tra", models()["table"])
     with pytest.raises(ValueError, match=r"constants \(--constants\) means nothing"):
         load_model(write(tmp_path), constants="N=1")
+
+
+def test_three_files_change_together_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "model.tra"
+    save_model(path, models()["names"])
+    before = {each.name: each.read_bytes() for each in tmp_path.iterdir()}
+    assert len(before) == 3
+
+    def disk_full(*_: object) -> None:
+        raise OSError("No space left on device")
+
+    for step in ("_write_transitions", "_write_labels", "_write_names"):
+        with monkeypatch.context() as patch, pytest.raises(OSError, match="No space"):
+            patch.setattr(f"dead_ends.io.prism.{step}", disk_full)
+            save_model(path, models()["floats"])
+        assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == before
