@@ -23,7 +23,7 @@ def add_source_arguments(parser: argparse.ArgumentParser) -> None:
         "file",
         metavar="FILE",
         help="a model (.npz; .tra with .lab and .sta; .drn; with stormpy also PRISM's .prism, .nm "
-        "and .pm, .jani and .umb) or a Gymnasium environment id",
+        "and .pm, .jani and .umb; text also as .gz) or a Gymnasium environment id",
     )
     group = parser.add_argument_group("which states fail, where the model does not say it")
     group.add_argument(

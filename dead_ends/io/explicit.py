@@ -14,6 +14,7 @@ The formats hold no rewards, and of the initial distribution only its states.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -34,20 +35,62 @@ __all__ = [
     "Explicit",
     "Failure",
     "Rows",
+    "check_action_names",
     "check_distributions",
     "check_no_estimate",
     "count_distinct",
     "explicit_model",
+    "is_utf8",
+    "kind_of_value",
     "model_labels",
     "model_rows",
+    "read_probabilities",
     "read_states",
+    "unreadable_kind",
 ]
 
 Integers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 MAX_NAMED_ACTIONS = 64
-"""With more different labels, choices are numbered: the tables have a column an action."""
+"""With more different labels, and more than any state has choices, choices are numbered: the
+tables have a column an action."""
+
+KINDS = {
+    "CTMC": "a continuous-time Markov chain (CTMC)",
+    "CTMDP": "a continuous-time MDP (CTMDP)",
+    "MA": "a Markov automaton",
+    "POMDP": "a partially observable MDP (POMDP)",
+    "LTS": "a labelled transition system (LTS)",
+    "SMG": "a game of several players (SMG)",
+    "S2PG": "a game of two players (S2PG)",
+    "STPG": "a game of two players (STPG)",
+    "CSG": "a concurrent game (CSG)",
+    "ICSG": "a concurrent game with intervals of probabilities (ICSG)",
+    "IDTMC": "a DTMC with intervals of probabilities (IDTMC)",
+    "IMDP": "an MDP with intervals of probabilities (IMDP)",
+    "IPOMDP": "a partially observable MDP with intervals of probabilities (IPOMDP)",
+    "PTA": "a probabilistic timed automaton (PTA)",
+    "POPTA": "a partially observable probabilistic timed automaton (POPTA)",
+    "TA": "a timed automaton (TA)",
+    "STA": "a stochastic timed automaton (STA)",
+    "HA": "a hybrid automaton (HA)",
+    "PHA": "a probabilistic hybrid automaton (PHA)",
+    "SHA": "a stochastic hybrid automaton (SHA)",
+    "TPTG": "a timed game (TPTG)",
+    "TSG": "a timed game (TSG)",
+}
+"""Kinds of models that are not read, by the words that PRISM and Storm have for them."""
+
+INTERVALS = "the model has intervals of probabilities; MDPs and DTMCs can be read"
+
+PARAMETRIC = "the model is parametric; MDPs and DTMCs can be read"
+
+RESERVED = frozenset({"__NOLABEL__"})
+"""What Storm writes for a choice without a label: no name."""
+
+_BLANKS = frozenset(" \t\n\v\f\r")
+_IDENTIFIER = re.compile(r"[^\W\d]")
 
 
 @dataclass(frozen=True)
@@ -197,6 +240,35 @@ def read_states(tokens: Tokens, places: Integers, num_states: int, trim: int = 0
     return states
 
 
+def unreadable_kind(kind: str) -> str | None:
+    """A sentence that refuses a kind of model; None for MDPs, DTMCs and unknown words."""
+    name = KINDS.get("MA" if kind.upper() == "MARKOV AUTOMATON" else kind.upper())
+    return None if name is None else f"the model is {name}; MDPs and DTMCs can be read"
+
+
+def read_probabilities(
+    tokens: Tokens, places: Integers, named: Mapping[bytes, bytes] | None = None
+) -> NDArray[Any]:
+    """The probabilities at these tokens, where ``named`` tokens stand for others.
+
+    Raises:
+        ValueError: naming the file and line of the first that is no number, and the kind of
+            model that has such things in place of probabilities.
+    """
+    return tokens.numbers(places, "a probability", named, kind_of_value)
+
+
+def kind_of_value(text: str) -> str:
+    """What is told about the model by a text that is no number; empty: nothing."""
+    if text[0] in "[(" and (text[-1:] not in ")]" or "," in text):
+        return f": {INTERVALS}"
+    if text[0] == "$":
+        return ": there is no such placeholder"
+    if _IDENTIFIER.search(text) and text.strip("+-").lower() not in ("nan", "inf", "infinity"):
+        return f": {PARAMETRIC}"
+    return ""
+
+
 def check_distributions(
     tokens: Tokens,
     lines: Integers,
@@ -241,6 +313,31 @@ def count_distinct(values: Integers) -> int:
     """How many different values there are; linear if they are sorted, as in most files."""
     ordered = np.sort(values, kind="stable")
     return int(np.count_nonzero(np.diff(ordered))) + (len(ordered) > 0)
+
+
+def check_action_names(path: str | os.PathLike[str], model: SafeMDP) -> None:
+    """Check that the formats can hold the names of the actions.
+
+    Raises:
+        ValueError: naming the file and the first name that would be lost.
+    """
+    names = model.action_names or ()
+    for action, name in enumerate(names):
+        blank = not name or not _BLANKS.isdisjoint(name)
+        if blank or not is_utf8(name) or name in RESERVED or name in names[:action]:
+            why = "; two actions have it" if name in names[:action] else ""
+            raise ValueError(f"{path}: the action's name {name!r} cannot be written{why}")
+    widest = int(np.count_nonzero(model.available, axis=1).max())
+    if len(names) > max(MAX_NAMED_ACTIONS, widest):
+        raise ValueError(
+            f"{path}: the names of {len(names)} actions, of which no state has more than "
+            f"{widest}, cannot be written; at most {MAX_NAMED_ACTIONS} can"
+        )
+
+
+def is_utf8(name: str) -> bool:
+    """Whether a name can be written at all."""
+    return not any("\ud800" <= character <= "\udfff" for character in name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,9 +409,10 @@ def _actions(explicit: Explicit) -> tuple[Integers, tuple[str, ...] | None]:
     The labels serve if each choice has one and no two choices of a state share it.
     """
     names, name = explicit.choice_names, explicit.choice_name
-    if not names or len(names) > MAX_NAMED_ACTIONS or (name < 0).any():
+    widest = int(explicit.choice.max(initial=0)) + 1
+    if not names or len(names) > max(MAX_NAMED_ACTIONS, widest) or (name < 0).any():
         return explicit.choice, None
-    choice = explicit.source * (int(explicit.choice.max(initial=0)) + 1) + explicit.choice
+    choice = explicit.source * widest + explicit.choice
     labelled = explicit.source * len(names) + name
     if (
         count_distinct(choice)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
+from dead_ends.io.compressed import plain_path
 from dead_ends.io.transitions import Condition
 from dead_ends.model import SafeMDP, require_type
 
@@ -74,8 +75,8 @@ def load_model(
     """The model in a file, or of a Gymnasium environment.
 
     Args:
-        source: a path whose suffix says the format, an environment id such as
-            "FrozenLake-v1", or an environment.
+        source: a path whose suffix says the format (of text formats also ``.tra.gz``, ...), an
+            environment id such as "FrozenLake-v1", or an environment.
         fail_label, fail_states, fail_if, arguments, constants, normalise: see
             :class:`ModelOptions`.
 
@@ -92,7 +93,7 @@ def load_model(
     if not isinstance(source, str | os.PathLike):
         return _load_environment(source, options)
     path = Path(source)
-    reader = _READERS.get(path.suffix.lower())
+    reader = _reader(path)
     if reader is not None:
         return reader(path, options)
     name = os.fspath(source)
@@ -101,8 +102,8 @@ def load_model(
     if not path.exists() and not path.suffix:
         raise ValueError(f"{name}: neither a file nor an environment id such as FrozenLake-v1")
     raise ValueError(
-        f"{name}: unknown format '{path.suffix}' (known: {', '.join(_READERS)}, "
-        "or an environment id such as FrozenLake-v1)"
+        f"{name}: unknown format '{path.suffix}' (known: {', '.join(_READERS)}, text also "
+        "compressed as .gz, or an environment id such as FrozenLake-v1)"
     )
 
 
@@ -119,6 +120,13 @@ def save_model(path: str | os.PathLike[str], model: SafeMDP) -> None:
     if writer is None:
         raise ValueError(f"{path}: models are written as {', '.join(_WRITERS)}")
     writer(path, model)
+
+
+def _reader(path: Path) -> _Reader | None:
+    """What reads the file, by its suffix; of compressed files by the suffix before ``.gz``."""
+    plain = plain_path(path)
+    suffix = plain.suffix.lower()
+    return None if plain != path and suffix in _BINARY else _READERS.get(suffix)
 
 
 def _load_environment(environment: Any, options: ModelOptions) -> SafeMDP:
@@ -189,7 +197,8 @@ def _save_drn(path: str | os.PathLike[str], model: SafeMDP) -> None:
     save_drn(path, model)
 
 
-_READERS: dict[str, Callable[[Path, ModelOptions], SafeMDP]] = {
+_Reader = Callable[[Path, ModelOptions], SafeMDP]
+_READERS: dict[str, _Reader] = {
     ".npz": _load_npz,
     ".tra": _load_prism,
     ".drn": _load_drn,
@@ -199,6 +208,9 @@ _READERS: dict[str, Callable[[Path, ModelOptions], SafeMDP]] = {
     ".jani": _load_with_storm,
     ".umb": _load_with_storm,
 }
+_BINARY = (".npz", ".umb")
+"""Formats that compress by themselves."""
+
 _WRITERS: dict[str, Callable[[str | os.PathLike[str], SafeMDP], None]] = {
     ".npz": _save_npz,
     ".tra": _save_prism,
