@@ -30,6 +30,7 @@ from deep.pretrain import (
 )
 from deep.tasks import Task
 from deep.thresholds import discount_from_horizon, low_threshold, paper_threshold
+from deep.violation import check_rule
 
 __all__ = ["MethodChoice", "Mix", "PretrainConfig", "config_from_json", "config_to_json", "resolve"]
 
@@ -87,6 +88,9 @@ class PretrainConfig:
     Attributes:
         task: the name of a task, from which every seed collects its own data.
         data: a file of transitions for all seeds, instead of a task.
+        cut: end the file's episodes at every violation, see
+            :func:`deep.data.cut_at_violation`.
+        violation: which of the file's costs are one, as in "cost > 0.5"; None: they are 0 or 1.
         method: the form of Algorithm 1, with its settings.
         seeds: one critic and recovery policy each, trained side by side.
         updates: minibatch updates.
@@ -106,6 +110,8 @@ class PretrainConfig:
 
     task: str | None = None
     data: Path | None = None
+    cut: bool = False
+    violation: str | None = None
     method: MethodChoice = field(default_factory=DeaRrlAnnealedSettings)
     seeds: tuple[int, ...] = (0,)
     updates: int = 4000
@@ -121,6 +127,9 @@ class PretrainConfig:
     def __post_init__(self) -> None:
         if (self.task is None) == (self.data is None):
             raise ValueError("give either a task or a data file")
+        check_rule(self.violation)
+        if self.data is None and (self.cut or self.violation is not None):
+            raise ValueError("cut and violation are of a data file: a task ends at violations")
         if self.device not in ("cpu", "cuda"):
             raise ValueError(f"device must be cpu or cuda, not {self.device!r}")
         if self.sharpness < 1:

@@ -127,7 +127,7 @@ def load_data(config: PretrainConfig) -> tuple[list[Transitions], list[Normalisa
 def load_raw(config: PretrainConfig) -> tuple[list[Transitions], list[Normalisation]]:
     """The same data as they were recorded, and how they are to be normalised."""
     if config.data is not None:
-        raw = read_hdf5(config.data)
+        raw = read_hdf5(config.data, cut=config.cut, violation=config.violation)
         return [raw], [normalisation_of(raw, config.sharpness)] * len(config.seeds)
     assert config.task is not None
     task = make_task(config.task)
