@@ -18,6 +18,7 @@ from deep.online.config import TrainConfig, train_config_from_json
 from deep.online.fleet import Fleet, evaluation_copies, task_sizes
 from deep.online.replay import Replay
 from deep.tasks import make_task
+from deep.tasks.gym import Rules
 
 __all__ = ["offline_data", "replayed", "training_run"]
 
@@ -58,7 +59,7 @@ def replayed(folder: Path, seed: int) -> Transitions:
         config.copies,
         config.replay // config.copies,
         config.checkpoint_every // config.copies,
-        *task_sizes(config.task),
+        *task_sizes(config.task, config.rules),
     )
     try:
         return replay.transitions(seed, config.steps // config.copies)
@@ -84,27 +85,29 @@ def offline_data(
     parts = [keep_before_violation(replayed(runs, seed), keep)]
     if random:
         try:
-            drawn = _random_transitions(task, random, rng)
+            drawn = _random_transitions(task, random, training_run(runs).rules, rng)
         except ValueError as error:
             raise ValueError(f"{task}, {random} random actions: {error}") from error
         parts.append(keep_before_violation(drawn, keep))
     return concatenate(parts)
 
 
-def _random_transitions(task: str, transitions: int, rng: np.random.Generator) -> Transitions:
+def _random_transitions(
+    task: str, transitions: int, rules: Rules, rng: np.random.Generator
+) -> Transitions:
     """At least so many, with uniform random actions."""
     copies = evaluation_copies(task)
     if copies is not None:
-        return _in_environments(task, transitions, copies, rng)
+        return _in_environments(task, transitions, copies, rules, rng)
     known = make_task(task)
     return collect(known, random_policy(known), rng, transitions)
 
 
 def _in_environments(
-    task: str, transitions: int, copies: int, rng: np.random.Generator
+    task: str, transitions: int, copies: int, rules: Rules, rng: np.random.Generator
 ) -> Transitions:
     """The same where there is no batch-vectorised task, but a "real:" or "gym:" environment."""
-    fleet = Fleet(task, (int(rng.integers(SEEDS)),), copies)
+    fleet = Fleet(task, (int(rng.integers(SEEDS)),), copies, rules)
     steps = []
     try:
         observation = fleet.reset()

@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from dead_ends.io.atomic import atomic_path
-from deep.folder import read_object, versions
+from deep.folder import from_plain, read_object, versions
 from deep.online.episodes import Episodes, run_episodes
-from deep.online.fleet import evaluation_copies
+from deep.online.fleet import GYM, evaluation_copies
 from deep.online.learner import TaskLearner, TaskLosses
 from deep.safety_filter import Normalisation, SafetyFilter
 from deep.task_policy import TrainedPolicy
+from deep.tasks.gym import NO_RULES, Rules
 
 __all__ = [
     "EPISODES_KEPT_APART",
@@ -30,6 +31,7 @@ __all__ = [
     "evaluation_rows",
     "open_folder",
     "read_result",
+    "run_rules",
     "save_all",
     "seed_entry",
     "task_policies",
@@ -89,6 +91,21 @@ def open_folder(folder: Path, plain: dict[str, Any], data: str | None = None) ->
         _write_json(path, made | ({"data": data} if data else {}))
 
 
+def run_rules(folder: Path) -> Rules:
+    """What the run in this folder took its environment's rules to be.
+
+    Raises:
+        ValueError: if there is no run of a task policy.
+    """
+    path = folder / "config.json"
+    run = read_object(path, "run")["run"]
+    try:
+        rules = from_plain(Rules, run["rules"])
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"{path}: not the run of a task policy ({error})") from error
+    return rules if str(run["task"]).startswith(GYM) else NO_RULES
+
+
 def checked_losses(seed: int, k: int, losses: TaskLosses | None, moment: str) -> list[str]:
     """A seed's losses as they are written down; empty cells where there are none.
 
@@ -130,6 +147,7 @@ def evaluate(
     filters: Sequence[SafetyFilter | None],
     episodes: int,
     stream: int = 0,
+    rules: Rules = NO_RULES,
 ) -> list[Episodes]:
     """Whole episodes of every policy's mean action, each behind its filter if there is one.
 
@@ -137,7 +155,7 @@ def evaluate(
     """
     copies = evaluation_copies(task)
     return [
-        run_episodes(task, policy.act, safety, episodes, policy.seed + stream, copies)
+        run_episodes(task, policy.act, safety, episodes, policy.seed + stream, copies, rules)
         for policy, safety in zip(policies, filters or [None] * len(policies), strict=True)
     ]
 

@@ -114,7 +114,7 @@ class _Run:
         self.config = config
         self.folder = folder
         self.method = method_of(config)
-        self.fleet = Fleet(config.task, config.seeds, config.copies)
+        self.fleet = Fleet(config.task, config.seeds, config.copies, config.rules)
         sizes = Sizes(self.fleet.observation_dim, self.fleet.action_dim)
         self.learner = build_task_learner(config, sizes)
         self.gate = build_gate(config, sizes)
@@ -246,7 +246,7 @@ class _Run:
         config = self.config
         found = evaluate(
             config.task, self.policies(), self.gate.filters(), config.evaluation_episodes,
-            EPISODES_KEPT_APART,
+            EPISODES_KEPT_APART, config.rules,
         )  # fmt: skip
         self.evaluations.write(evaluation_rows(done, config.seeds, found))
 
@@ -259,7 +259,7 @@ class _Run:
         """Evaluate, write policies and filters, say what came out, forget the replay buffer."""
         config, counts = self.config, self.counts
         policies, filters = self.policies(), self.gate.filters()
-        found = evaluate(config.task, policies, filters, config.episodes)
+        found = evaluate(config.task, policies, filters, config.episodes, rules=config.rules)
         save_all(self.folder / "policies", config.seeds, policies)
         save_all(self.folder / "filters", config.seeds, filters)
         thresholds = [f.threshold for f in filters] or self.learner.limits

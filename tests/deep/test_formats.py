@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from deep.__main__ import main
 from deep.data import Transitions
 from deep.formats import from_minari, read_hdf5, to_minari, write_hdf5
 from tests.deep.recordings import brake_data, episode, joined, same
@@ -161,6 +162,30 @@ def test_of_several_constraints_one_is_chosen(tmp_path: Path) -> None:
     assert read_hdf5(path, violation="cost[1] > 0").costs.sum() == 1
     assert read_hdf5(path, violation="cost[0] > 0", cut=True).costs.sum() == 2
     assert refusal(path, violation="cost[2] > 0") == "costs: row 0 has 2 costs: there is no cost[2]"
+
+
+def test_commands_have_the_options_that_their_messages_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    costs = 2 * marked(*range(5, 40, 4)) + 0.25
+    path = written(tmp_path / "log.hdf5", recording(costs=costs, terminals=np.zeros(40)))
+    small = ["--updates", "1", "--seeds", "0"]
+    pretraining = ["pretrain", "--data", str(path), "--horizon", "3", *small]
+    offline = ["train-offline", "--task", "brake", "--data", str(path), "--episodes", "1", *small]
+    for number, command in enumerate((pretraining, offline)):
+        out = tmp_path / str(number)
+        given: list[str] = []
+        for said, option in (
+            ('--violation "cost > 0"', ["--violation", "cost > 0.5"]),
+            ("--cut (cut=True", ["--cut"]),
+        ):
+            assert main([*command, "--out", str(out), *given]) == 2
+            assert said in capsys.readouterr().err
+            assert not out.exists()
+            given += option
+        assert main([*command, "--out", str(out), *given]) == 0
+    assert main(["pretrain", "--task", "brake", "--out", str(tmp_path / "x"), "--cut"]) == 2
+    assert "cut and violation are of a data file" in capsys.readouterr().err
 
 
 NAN = {
