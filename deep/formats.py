@@ -72,23 +72,27 @@ def read_hdf5(
 
 def _columns(path: str | os.PathLike[str]) -> Columns:
     """The data sets as they are, checked by shape, type and size before they are read."""
-    with _damage("not an HDF5 file, or a damaged one"), h5py.File(path, "r") as file:
-        missing = [name for name in NEEDED if not file.id.links.exists(name.encode())]
+    with _damage("not an HDF5 file, or a damaged one"):
+        file = h5py.File(path, "r")
+    with file:
+        with _damage("the file is damaged"):
+            present = [name for name in COLUMNS if file.id.links.exists(name.encode())]
+        missing = [name for name in NEEDED if name not in present]
         if missing:
             raise ValueError(f"the data sets {', '.join(missing)} are missing")
-        present = [name for name in COLUMNS if file.id.links.exists(name.encode())]
-        found = {}
         for name in present:
             with _damage(f"{name} is damaged"):
-                found[name] = _dataset(file, name)
-        lengths = {name: column.shape[0] for name, column in found.items()}
+                fault = _fault(file, name)
+            if fault:
+                raise ValueError(f"{name}{fault}")
+        lengths = {name: file[name].shape[0] for name in present}
         if len(set(lengths.values())) > 1:
             raise ValueError(f"the data sets differ in length: {lengths}")
-        _check_size(sum(math.prod(c.shape) * c.dtype.itemsize for c in found.values()))
+        _check_size(sum(math.prod(file[n].shape) * file[n].dtype.itemsize for n in present))
         columns: Columns = {}
-        for name, column in found.items():
+        for name in present:
             with _damage(f"{name} is damaged"):
-                columns[name] = np.asarray(column)
+                columns[name] = np.asarray(file[name])
         return columns
 
 
@@ -97,28 +101,28 @@ def _damage(what: str) -> Iterator[None]:
     """HDF5's own errors, of many types, as one sentence."""
     try:
         yield
-    except (OSError, KeyError, RuntimeError, TypeError, OverflowError, MemoryError) as error:
+    except (OSError, LookupError, RuntimeError, TypeError, ValueError, MemoryError) as error:
         reason = " ".join(str(error.args[0] if error.args else error).split())
         raise ValueError(f"{what} ({reason or type(error).__name__})") from error
 
 
-def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
-    """A data set that holds rows of numbers, all of them written, in this very file."""
+def _fault(file: h5py.File, name: str) -> str:
+    """What keeps it from being rows of numbers, all of them written, in this very file."""
     if file.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
-        raise ValueError(f"{name} is a link, not a data set: copy what it means into the file")
+        return " is a link, not a data set: copy what it means into the file"
     found = file[name]
     if not isinstance(found, h5py.Dataset):
-        raise ValueError(f"{name} is a {type(found).__name__.lower()}, not a data set")
+        return f" is a {type(found).__name__.lower()}, not a data set"
     if found.is_virtual or found.external:
-        raise ValueError(f"{name} keeps its numbers in other files: copy them into this one")
+        return " keeps its numbers in other files: copy them into this one"
     if found.dtype.kind not in "biuf":
         kind = "text" if h5py.check_string_dtype(found.dtype) else found.dtype
-        raise ValueError(f"{name}: the values are of type {kind}, not real numbers")
+        return f": the values are of type {kind}, not real numbers"
     if not found.shape:
-        raise ValueError(f"{name} is a scalar or empty: a row for each transition is wanted")
+        return " is a scalar or empty: a row for each transition is wanted"
     if not _is_written(found):
-        raise ValueError(f"{name}: not all of its {found.shape[0]:,} rows were ever written")
-    return found
+        return f": not all of its {found.shape[0]:,} rows were ever written"
+    return ""
 
 
 def _is_written(found: h5py.Dataset) -> bool:

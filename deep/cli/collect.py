@@ -11,6 +11,7 @@ import tyro
 
 from deep.config import Mix
 from deep.data import summarise
+from deep.folder import new_file
 from deep.formats import write_hdf5
 from deep.tasks import make_task
 
@@ -21,7 +22,7 @@ class Collect:
 
     Attributes:
         task: the task's name.
-        out: the HDF5 file to write.
+        out: the HDF5 file to write, a new one.
         seed: of the collection.
         mix: who acts, and what is kept.
     """
@@ -33,6 +34,7 @@ class Collect:
 
     def run(self) -> None:
         """Collect, write, and say what there is."""
-        data = self.mix.collect(make_task(self.task), np.random.default_rng(self.seed))
-        write_hdf5(data, self.out)
+        with new_file(self.out):
+            data = self.mix.collect(make_task(self.task), np.random.default_rng(self.seed))
+            write_hdf5(data, self.out)
         print(f"{self.out}: {summarise(data)}")

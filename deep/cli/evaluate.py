@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from deep.cli.seeds import seed_lines
+from deep.folder import only_process
 from deep.online.choose import read_threshold
 from deep.online.plug import evaluate_policies
 from deep.tasks.gym import NO_RULES, Rules
@@ -45,15 +46,16 @@ class Evaluate:
             if threshold is not None:
                 raise ValueError("give either threshold or threshold_from")
             threshold = read_threshold(self.threshold_from)
-        seeds = evaluate_policies(
-            self.policy,
-            self.safety,
-            self.out,
-            threshold=threshold,
-            episodes=self.episodes,
-            task=self.task,
-            rules=None if self.rules == NO_RULES else self.rules,
-        )
+        with only_process(self.out):
+            seeds = evaluate_policies(
+                self.policy,
+                self.safety,
+                self.out,
+                threshold=threshold,
+                episodes=self.episodes,
+                task=self.task,
+                rules=None if self.rules == NO_RULES else self.rules,
+            )
         for line in seed_lines(seeds):
             print(line)
         print(self.out / "result.json")

@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from dead_ends.io.atomic import atomic_path
-from deep.folder import read_object
+from deep.folder import only_process, read_object
 from deep.grid import JobsFailedError, failure_table, run_jobs
 from deep.job_backends import BackendName
 from deep.study import StudyConfig, study_jobs
@@ -43,7 +43,8 @@ class Grid:
             ValueError: if the folder holds a study with other settings.
             JobsFailedError: with the table of those that failed.
         """
-        remember(self.config)
+        with only_process(self.config.out):
+            remember(self.config)
         result = run_jobs(
             study_jobs(self.config),
             logs=self.config.out / "logs",

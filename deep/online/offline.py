@@ -22,7 +22,7 @@ from tqdm import tqdm
 from deep.batches import Batches
 from deep.checkpoint import load_checkpoint, save_checkpoint
 from deep.data import Transitions
-from deep.folder import CsvLog, InterruptAfterUpdate, fingerprint
+from deep.folder import CsvLog, InterruptAfterUpdate, fingerprint, only_process
 from deep.formats import read_hdf5
 from deep.normalise import normalisation_of_observations, normalise
 from deep.online.fleet import GYM, check_fit, task_sizes
@@ -112,16 +112,18 @@ def train_offline(config: OfflineConfig, folder: Path, *, quiet: bool = False) -
     An interrupt (Ctrl-C) is passed on after the update at work and a checkpoint.
 
     Raises:
-        ValueError: for a folder with another run, or data that do not fit the task.
+        ValueError: for a folder with another run, or another process at work, or data that do
+            not fit the task.
         FloatingPointError: if a loss is not a number; the last checkpoint stays.
     """
-    data = fingerprint(config.data)
-    check_folder(folder, config.to_json(), data)
-    if not (folder / "result.json").exists():
-        run = _Run(config, folder, data)
-        run.train(quiet)
-        run.finish()
-    return read_result(folder)
+    with only_process(folder):
+        data = fingerprint(config.data)
+        check_folder(folder, config.to_json(), data)
+        if not (folder / "result.json").exists():
+            run = _Run(config, folder, data)
+            run.train(quiet)
+            run.finish()
+        return read_result(folder)
 
 
 def task_batch(batches: Batches, update: int) -> TaskBatch:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from deep.folder import read_object
+from deep.folder import check_unused, read_object
 from deep.online.fleet import check_fit, task_sizes
 from deep.online.pretrained import load_filters
 from deep.online.results import evaluate, run_rules, seed_entry, write_result
@@ -47,7 +47,7 @@ def evaluate_policies(
 
     Raises:
         ValueError: if a run is missing or unfinished, lacks a seed or does not fit the task,
-            if ``out`` holds a run, or a threshold is given without filters.
+            if ``out`` holds a run or an evaluation, or a threshold is given without filters.
     """
     if threshold is not None and safety is None:
         raise ValueError("threshold needs filters: safety")
@@ -56,6 +56,7 @@ def evaluate_policies(
         raise ValueError(f"{policies}: not a finished run (no result.json)")
     if (out / "config.json").exists():
         raise ValueError(f"{out} holds a run, whose result an evaluation would replace")
+    check_unused(out)
     run = read_object(path, "task", "method", "seeds", "budget")
     where = task or run["task"]
     if rules is None:

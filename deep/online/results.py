@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from dead_ends.io.atomic import atomic_path
-from deep.folder import from_plain, read_object, versions
+from deep.folder import check_unused, from_plain, read_object, versions
 from deep.online.episodes import Episodes, run_episodes
 from deep.online.fleet import GYM, evaluation_copies
 from deep.online.learner import TaskLearner, TaskLosses
@@ -67,10 +67,12 @@ def check_folder(folder: Path, plain: dict[str, Any], data: str | None = None) -
         data: the fingerprint of the data it learns from, if they are a file.
 
     Raises:
-        ValueError: if the folder holds another run, or the data have changed since.
+        ValueError: if the folder holds another run, or what no run here has written, or the
+            data have changed since.
     """
     path = folder / "config.json"
     if not path.exists():
+        check_unused(folder)
         return
     content = read_object(path, "run")
     if content["run"] != json.loads(json.dumps(plain)):

@@ -27,7 +27,7 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from deep.checkpoint import load_checkpoint, save_checkpoint
-from deep.folder import CsvLog, InterruptAfterUpdate
+from deep.folder import CsvLog, InterruptAfterUpdate, only_process
 from deep.online.config import (
     TrainConfig,
     build_task_learner,
@@ -77,18 +77,20 @@ def train(config: TrainConfig, folder: Path, *, quiet: bool = False) -> TrainRes
     An interrupt (Ctrl-C) is passed on after the step at work and a checkpoint.
 
     Raises:
-        ValueError: for a folder with another run, or a pretraining that does not fit.
+        ValueError: for a folder with another run, or another process at work, or a pretraining
+            that does not fit.
         FloatingPointError: if a loss is not a number; the last checkpoint stays.
     """
-    check_folder(folder, train_config_to_json(config))
-    if not (folder / "result.json").exists():
-        run = _Run(config, folder)
-        try:
-            run.train(quiet)
-            run.finish()
-        finally:
-            run.fleet.close()
-    return read_result(folder)
+    with only_process(folder):
+        check_folder(folder, train_config_to_json(config))
+        if not (folder / "result.json").exists():
+            run = _Run(config, folder)
+            try:
+                run.train(quiet)
+                run.finish()
+            finally:
+                run.fleet.close()
+        return read_result(folder)
 
 
 def method_of(config: TrainConfig) -> str:
