@@ -127,6 +127,11 @@ class PretrainConfig:
     def __post_init__(self) -> None:
         if (self.task is None) == (self.data is None):
             raise ValueError("give either a task or a data file")
+        if self.task is not None and self.task.startswith(("real:", "gym:")):
+            raise ValueError(
+                f"{self.task}: pretraining collects from this project's own tasks only; make a "
+                "file with collect or offline-data, and give it as data"
+            )
         check_rule(self.violation)
         if self.data is None and (self.cut or self.violation is not None):
             raise ValueError("cut and violation are of a data file: a task ends at violations")

@@ -101,7 +101,15 @@ def _damage(what: str) -> Iterator[None]:
     """HDF5's own errors, of many types, as one sentence."""
     try:
         yield
-    except (OSError, LookupError, RuntimeError, TypeError, ValueError, MemoryError) as error:
+    except (
+        OSError,
+        LookupError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+        ArithmeticError,
+        MemoryError,
+    ) as error:
         reason = " ".join(str(error.args[0] if error.args else error).split())
         raise ValueError(f"{what} ({reason or type(error).__name__})") from error
 

@@ -18,6 +18,7 @@ __all__ = [
     "Arrived",
     "Fleet",
     "check_fit",
+    "check_rules",
     "environment_seed",
     "evaluation_copies",
     "make_vector_env",
@@ -49,16 +50,25 @@ def make_vector_env(
         ValueError: if there is no such task, it does not fit, or Safety-Gymnasium is not
             installed; if there are rules for another task than one of "gym:".
     """
-    if rules != NO_RULES and not task.startswith(GYM):
-        raise ValueError(
-            f"{task} knows its violations and its time limit: violation, termination_is_violation "
-            f"and time_limit are for environments of {GYM!r}"
-        )
+    check_rules(task, rules)
     if task.startswith(REAL):
         return RealVectorEnv(task.removeprefix(REAL), copies)
     if task.startswith(GYM):
         return GymVectorEnv(task.removeprefix(GYM), copies, rules)
     return TaskVectorEnv(make_task(task), copies)
+
+
+def check_rules(task: str, rules: Rules) -> None:
+    """Refuse rules for a task that leaves nothing open.
+
+    Raises:
+        ValueError: if there are rules for another task than one of "gym:".
+    """
+    if rules != NO_RULES and not task.startswith(GYM):
+        raise ValueError(
+            f"{task} knows its violations and its time limit: violation, termination_is_violation "
+            f"and time_limit are for environments of {GYM!r}"
+        )
 
 
 def evaluation_copies(task: str) -> int | None:

@@ -127,6 +127,44 @@ def test_foreign_environments_give_random_transitions_too(coin: str, tmp_path: P
     assert not np.array_equal(other.actions, data.actions)
 
 
+def test_foreign_environments_are_collected_from(coin: str, tmp_path: Path) -> None:
+    out = tmp_path / "coin.hdf5"
+    given = ["collect", "--task", coin, "--transitions", "60", "--seed", "3"]
+    mix = ["--random", "0.25", "--corners", "0.75", "--keep", "2"]
+    assert main([*given, *mix, "--out", str(out)]) == 0
+    data = read_hdf5(out)
+    assert len(data) == 60
+    steps = np.diff(np.flatnonzero(data.ends), prepend=-1)
+    assert steps.max() == 2
+    assert (np.abs(data.actions[:15]) < 1).all()
+    assert (np.abs(data.actions[15:]) == 1).all()
+    assert np.array_equal(data.rewards, data.actions[:, 0])
+    again = tmp_path / "again.hdf5"
+    assert main([*given, *mix, "--out", str(again)]) == 0
+    assert same(read_hdf5(again), data)
+
+
+def test_what_only_tasks_know_is_refused_for_others(
+    coin: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["collect", "--task", coin, "--out", str(tmp_path / "x"), "--transitions", "9"]
+    for option in (["--anywhere"], ["--adversary", "0.5"], ["--max-steps", "3"]):
+        assert main([*given, *option]) == 2
+        assert "gym:Coin-v0: adversary, anywhere and max_steps are for" in capsys.readouterr().err
+    assert main([*given, "--random", "0.5", "--corners", "0.4"]) == 2
+    assert "shares must be positive and sum to 1, not to 0.9" in capsys.readouterr().err
+    pendulum = ["collect", "--task", "gym:Pendulum-v1", "--out", str(tmp_path / "x")]
+    assert main(pendulum) == 2
+    assert "give --termination-is-violation" in capsys.readouterr().err
+    assert main([*pendulum, "--transitions", "9", "--termination-is-violation"]) == 2
+    said = "Pendulum-v1: of 2,044 transitions too few lie within 100 steps before a violation"
+    assert said in capsys.readouterr().err
+    assert main(["collect", "--task", "brake", "--out", "x", "--time-limit", "3"]) == 2
+    assert "brake knows its violations and its time limit" in capsys.readouterr().err
+    assert main(["pretrain", "--task", coin, "--out", str(tmp_path / "x")]) == 2
+    assert "make a file with collect or offline-data" in capsys.readouterr().err
+
+
 class Jammed(Coin):
     """Breaks in its second step."""
 
