@@ -67,15 +67,8 @@ def only_process(folder: Path) -> Iterator[None]:
     Raises:
         ValueError: if another process is at work there.
     """
-    made = [place for place in (folder, *folder.parents) if not place.exists()]
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
-        with _lock(folder / ".lock", folder):
-            yield
-    finally:
-        with suppress(OSError):  # not empty: there is something to keep
-            for place in made:
-                place.rmdir()
+    with _made(folder), _lock(folder / ".lock", folder):
+        yield
 
 
 @contextmanager
@@ -85,11 +78,23 @@ def new_file(path: Path) -> Iterator[None]:
     Raises:
         ValueError: if it is there, or another process is making it.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with _lock(path.with_name(f".{path.name}.lock"), path):
+    with _made(path.parent), _lock(path.with_name(f".{path.name}.lock"), path):
         if path.exists():
             raise ValueError(f"{path}: it is there already; remove it, or give another name")
         yield
+
+
+@contextmanager
+def _made(folder: Path) -> Iterator[None]:
+    """A folder that exists; it and its parents go again if they were made for nothing."""
+    made = [place for place in (folder, *folder.parents) if not place.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # not empty: there is something to keep
+            for place in made:
+                place.rmdir()
 
 
 @contextmanager

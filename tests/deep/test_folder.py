@@ -142,6 +142,8 @@ def test_new_files_replace_nothing(tmp_path: Path) -> None:
         new_file(path),
     ):
         pass
+    assert not path.parent.exists()  # nothing was made
+    path.parent.mkdir()
     path.touch()
     with (
         pytest.raises(ValueError, match=r"data\.hdf5: it is there already; remove it"),
