@@ -174,9 +174,14 @@ def resolve(config: PretrainConfig, horizon: int | None) -> PretrainConfig:
     )
 
 
+WHEN_GIVEN: dict[str, Any] = {"cut": False, "violation": None}
+"""What is written only where it is something else."""
+
+
 def config_to_json(config: PretrainConfig) -> dict[str, Any]:
     """Plain values; the method by its name and settings."""
     plain = asdict(config)
+    plain = {k: v for k, v in plain.items() if k not in WHEN_GIVEN or v != WHEN_GIVEN[k]}
     plain["data"] = None if config.data is None else str(config.data)
     plain["method"] = {"name": method_name(config.method), **plain["method"]}
     return plain
@@ -194,6 +199,6 @@ def config_from_json(plain: dict[str, Any]) -> PretrainConfig:
         data = plain["data"]
         nested = {"method": from_plain(kind, settings), "mix": from_plain(Mix, plain["mix"])}
         path = None if data is None else Path(data)
-        return from_plain(PretrainConfig, plain | nested | {"data": path})
+        return from_plain(PretrainConfig, WHEN_GIVEN | plain | nested | {"data": path})
     except (KeyError, TypeError) as error:
         raise ValueError(f"not the configuration of a run: {error}") from error

@@ -107,9 +107,9 @@ def report(study_folder: Path, out: Path) -> Study:
     """
     if out.resolve().is_relative_to(study_folder.resolve()):
         raise ValueError(f"{out} is in the study {study_folder}, which is only read: give another")
+    study = read_study(study_folder)
     if out.is_dir() and any(out.iterdir()) and not (out / "report.json").is_file():
         raise ValueError(f"{out} holds something else than a report: give a new folder")
-    study = read_study(study_folder)
     out.mkdir(parents=True, exist_ok=True)
     _write_text(out / "report.json", json.dumps(_inventory(study), indent=2) + "\n")
     pages = [f"# Report: {study.name}\n", HOW_TO_READ]

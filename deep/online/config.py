@@ -13,7 +13,7 @@ from deep.online.learner import TaskLearner, TaskSettings
 from deep.online.sac import Sac, SacSettings
 from deep.online.wcsac import Wcsac, WcsacSettings
 from deep.pretrain.learner import Sizes
-from deep.tasks.gym import NO_RULES, Rules
+from deep.tasks.gym import NO_RULES, Rules, rules_from_json
 
 __all__ = [
     "TaskMethod",
@@ -142,8 +142,10 @@ def task_method_name(settings: TaskSettings) -> str:
 
 
 def train_config_to_json(config: TrainConfig) -> dict[str, Any]:
-    """Plain values; the method by its name and settings."""
+    """Plain values; the method by its name and settings, rules only where there are some."""
     plain = asdict(config)
+    if config.rules == NO_RULES:
+        del plain["rules"]
     plain["safety"] = None if config.safety is None else str(config.safety)
     plain["method"] = {"name": task_method_name(config.method), **plain["method"]}
     return plain
@@ -159,7 +161,7 @@ def train_config_from_json(plain: dict[str, Any]) -> TrainConfig:
         settings = dict(plain["method"])
         kind = LEARNERS[settings.pop("name")]
         safety = None if plain["safety"] is None else Path(plain["safety"])
-        nested = {"method": from_plain(kind, settings), "rules": from_plain(Rules, plain["rules"])}
+        nested = {"method": from_plain(kind, settings), "rules": rules_from_json(plain)}
         return from_plain(TrainConfig, plain | nested | {"safety": safety})
     except (KeyError, TypeError) as error:
         raise ValueError(f"not the configuration of a run: {error}") from error

@@ -99,8 +99,11 @@ class OfflineConfig:
         return self.rules if self.task.startswith(GYM) else replace(self.rules, violation=None)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values; the method by its name and settings."""
+        """Plain values; the method by its name and settings, rules only where there are some."""
         plain = asdict(self)
+        for name, default in (("rules", asdict(NO_RULES)), ("cut", False)):
+            if plain[name] == default:
+                del plain[name]
         plain["data"] = str(self.data)
         plain["method"] = {"name": Iql.name, **plain["method"]}
         return plain

@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from dead_ends.io.atomic import atomic_path
-from deep.folder import check_unused, from_plain, read_object, versions
+from deep.folder import check_unused, read_object, versions
 from deep.online.episodes import Episodes, run_episodes
 from deep.online.fleet import GYM, evaluation_copies
 from deep.online.learner import TaskLearner, TaskLosses
 from deep.safety_filter import Normalisation, SafetyFilter
 from deep.task_policy import TrainedPolicy
-from deep.tasks.gym import NO_RULES, Rules
+from deep.tasks.gym import NO_RULES, Rules, rules_from_json
 
 __all__ = [
     "EPISODES_KEPT_APART",
@@ -102,10 +102,10 @@ def run_rules(folder: Path) -> Rules:
     path = folder / "config.json"
     run = read_object(path, "run")["run"]
     try:
-        rules = from_plain(Rules, run["rules"])
+        rules, task = rules_from_json(run), str(run["task"])
     except (KeyError, TypeError) as error:
         raise ValueError(f"{path}: not the run of a task policy ({error})") from error
-    return rules if str(run["task"]).startswith(GYM) else NO_RULES
+    return rules if task.startswith(GYM) else NO_RULES
 
 
 def checked_losses(seed: int, k: int, losses: TaskLosses | None, moment: str) -> list[str]:

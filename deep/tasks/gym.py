@@ -9,7 +9,7 @@ limit, is refused before its first episode, unless :class:`Rules` say what is mi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from deep.tasks.task import Bools, Floats, Observations
 from deep.violation import check_rule, violations
 
-__all__ = ["NO_RULES", "GymVectorEnv", "Rules"]
+__all__ = ["NO_RULES", "GymVectorEnv", "Rules", "rules_from_json"]
 
 SEEDS = 2**31
 
@@ -58,6 +58,15 @@ class Rules:
 
 NO_RULES = Rules()
 """The environment leaves nothing open."""
+
+
+def rules_from_json(run: Mapping[str, Any]) -> Rules:
+    """The rules in a run's configuration, where they are written if there are some.
+
+    Raises:
+        TypeError: if they are none.
+    """
+    return Rules(**run["rules"]) if "rules" in run else NO_RULES
 
 
 class GymVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):

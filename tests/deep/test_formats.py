@@ -161,6 +161,9 @@ def test_of_several_constraints_one_is_chosen(tmp_path: Path) -> None:
     assert "row 0 has 2 costs, one for each" in refusal(path, violation="cost > 0")
     assert read_hdf5(path, violation="cost[1] > 0").costs.sum() == 1
     assert read_hdf5(path, violation="cost[0] > 0", cut=True).costs.sum() == 2
+    costs[5, 0] = np.nan  # nor is one overlooked in a constraint that is not chosen
+    other = written(tmp_path / "nan.hdf5", recording(costs=costs))
+    assert refusal(other, violation="cost[1] > 0") == "costs: row 5, column 0 is nan"
     assert refusal(path, violation="cost[2] > 0") == "costs: row 0 has 2 costs: there is no cost[2]"
 
 
@@ -378,7 +381,11 @@ def test_minari_datasets_know_the_same_rule() -> None:
     cut = from_minari(dataset, violation="cost[1] >= 9", cut=True)
     assert cut.costs.tolist() == [1, 1]
     # An episode that neither ended nor was cut off does not go on in the next one.
-    unfinished = minari(terminations=np.zeros(3, dtype=bool))
-    assert from_minari(unfinished).terminals.tolist() == [False, False, True]
+    unfinished = minari(terminations=np.zeros(3, dtype=bool), infos={"cost": np.zeros(3)})
+    two = [*unfinished.iterate_episodes(), *minari().iterate_episodes()]
+    joined_up = from_minari(SimpleNamespace(iterate_episodes=lambda: two))  # type: ignore[arg-type]  # a stand-in
+    assert joined_up.timeouts.tolist() == [False, False, True, False, False, False]
+    stopped = minari(terminations=np.zeros(3, dtype=bool))
+    assert from_minari(stopped).terminals.tolist() == [False, False, True]
     early = {"infos": {"cost": np.array([0, 1, 0])}, "terminations": np.zeros(3, dtype=bool)}
     assert from_minari(minari(**early), cut=True).ends.tolist() == [False, True]
