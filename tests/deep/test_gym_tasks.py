@@ -220,6 +220,7 @@ class Odd(Counter):
             "four": (observation, reward, over, {"cost": 0.0}),
             "silent": (observation, reward, over, cut, {}),
             "ends": (observation, reward, self.steps == 3, cut, {}),
+            "ends at no cost": (observation, reward, self.steps == 3, cut, {"cost": 0.0}),
             "two": (observation, reward, over, cut, {"cost": np.array([0.0, self.steps])}),
             "half": (observation, reward, over, cut, {"cost": 0.5}),
             "nan cost": (observation, reward, over, cut, {"cost": np.nan}),
@@ -283,10 +284,11 @@ def test_observations_at_reset_are_finite(odd: Callable[..., GymVectorEnv]) -> N
 
 
 def test_an_end_can_be_a_violation(odd: Callable[..., GymVectorEnv]) -> None:
-    env = odd("ends", ENDS)
-    env.reset(seed=0)
-    found = [env.step(np.zeros((1, 2))) for _ in range(3)]
-    assert [float(info["cost"][0]) for *_, info in found] == [0, 0, 1]
+    for fault in ("ends", "ends at no cost"):
+        env = odd(fault, ENDS)
+        env.reset(seed=0)
+        found = [env.step(np.zeros((1, 2))) for _ in range(3)]
+        assert [float(info["cost"][0]) for *_, info in found] == [0, 0, 1]
     env = odd("silent", ENDS)  # the time limit ends its episodes, and is none
     env.reset(seed=0)
     *_, (_, _, terminated, truncated, info) = [env.step(np.zeros((1, 2))) for _ in range(4)]
