@@ -13,6 +13,7 @@ from deep.folder import only_process, read_object
 from deep.grid import JobsFailedError, failure_table, run_jobs
 from deep.job_backends import BackendName
 from deep.study import StudyConfig, study_jobs
+from deep.tasks.gym import NO_RULES
 
 __all__ = ["Grid", "remember"]
 
@@ -77,7 +78,8 @@ def remember(config: StudyConfig) -> None:
         with atomic_path(path) as temporary:
             temporary.write_text(json.dumps(plain, indent=2) + "\n")
         return
-    found = read_object(path, *plain)
+    before_rules = {"rules": asdict(NO_RULES)}  # a study that was begun before there were any
+    found = before_rules | read_object(path, *(plain.keys() - before_rules.keys()))
     for name, value in plain.items():
         if found[name] != value:
             raise ValueError(f"{config.out} holds a study with {name} {found[name]}, not {value}")
