@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from fractions import Fraction
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from scipy import sparse
 
 from dead_ends.model_input import ROW_SUM_TOLERANCE
 
-Csr = sparse.csr_array[np.float64]
+Csr: TypeAlias = "sparse.csr_array[np.float64]"
 NamePair = Callable[[int, int], str]
 
 
