@@ -11,7 +11,7 @@ from collections.abc import Callable
 from decimal import Decimal
 from fractions import Fraction
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from dead_ends.model_input import (
     shown,
 )
 
-Csr = sparse.csr_array[np.float64]
+Csr: TypeAlias = "sparse.csr_array[np.float64]"
 NamePair = Callable[[int, int], str]
 
 

@@ -152,7 +152,7 @@ DRAWN = {**BARE, "geometry_cell": np.zeros((4, 2), dtype=np.int32)}
 )
 def test_bad_arrays_are_named(arrays: dict[str, Any], message: str, tmp_path: Path) -> None:
     path = tmp_path / "bad.npz"
-    np.savez(path, allow_pickle=True, **arrays)
+    np.savez(path, **arrays)
     with pytest.raises(ValueError, match=message) as caught:
         load_npz(path)
     assert str(caught.value).startswith(f"{path}: ")
