@@ -85,9 +85,7 @@ def exact_data(kernel: Csr, name: NamePair, normalise: bool = False) -> tuple[Fr
     try:
         _check_exact_sums(data, kernel.indptr, num_actions, name)
     except ValueError as error:
-        raise ValueError(
-            f"{error}: exactly, a float is its shortest decimal; give the model in fractions"
-        ) from None
+        raise ValueError(f"{error} (exactly, a float is its shortest decimal)") from None
     return data
 
 
