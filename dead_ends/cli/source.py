@@ -40,6 +40,12 @@ def add_source_arguments(parser: argparse.ArgumentParser) -> None:
         help="an argument of the environment, such as is_slippery=False; may be repeated",
     )
     parser.add_argument(
+        "--seed",
+        metavar="N",
+        type=parse_seed,
+        help="of the reset that draws a MiniGrid's layout (default: 0)",
+    )
+    parser.add_argument(
         "--constants", metavar="VALUES", help="constants of a PRISM or JANI model, such as N=4,K=2"
     )
 
@@ -55,6 +61,7 @@ def read_source(arguments: argparse.Namespace) -> SafeMDP:
         fail_if=arguments.fail_if,
         arguments=dict(arguments.env_arg) if arguments.env_arg else None,
         constants=arguments.constants,
+        seed=arguments.seed,
     )
 
 
@@ -104,6 +111,13 @@ def parse_states(text: str) -> list[int]:
             raise argparse.ArgumentTypeError(f"'{part}' are too many states to list")
         states += numbers
     return states
+
+
+def parse_seed(text: str) -> int:
+    """A seed for an environment's reset."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"'{text}' is not a seed such as 0, 1 or 2")
+    return int(text)
 
 
 def parse_argument(text: str) -> tuple[str, Any]:

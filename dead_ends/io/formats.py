@@ -33,6 +33,7 @@ class ModelOptions:
         fail_if: a condition on (s, a, r, s'); see :mod:`dead_ends.io.condition`.
         arguments: for making an environment.
         constants: values of a symbolic model's constants, such as "N=4,K=2".
+        seed: of an environment's reset that draws a layout, 0 if nothing is said.
     """
 
     fail_label: str | None = None
@@ -40,6 +41,7 @@ class ModelOptions:
     fail_if: Condition | None = None
     arguments: Mapping[str, Any] | None = None
     constants: str | None = None
+    seed: int | None = None
 
     def failure(self) -> Failure:
         """The same for a model with labels."""
@@ -65,20 +67,21 @@ def load_model(
     fail_if: Condition | None = None,
     arguments: Mapping[str, Any] | None = None,
     constants: str | None = None,
+    seed: int | None = None,
 ) -> SafeMDP:
     """The model in a file, or of a Gymnasium environment.
 
     Args:
         source: a path whose suffix says the format, an environment id such as
             "FrozenLake-v1", or an environment.
-        fail_label, fail_states, fail_if, arguments, constants: see :class:`ModelOptions`.
+        fail_label, fail_states, fail_if, arguments, constants, seed: see :class:`ModelOptions`.
 
     Raises:
         ValueError: naming the file, and the place in it where something is wrong.
         OSError: if the file cannot be read.
         MissingDependencyError: if a package that the format needs is not installed.
     """
-    options = ModelOptions(fail_label, fail_states, fail_if, arguments, constants)
+    options = ModelOptions(fail_label, fail_states, fail_if, arguments, constants, seed)
     if not isinstance(source, str | os.PathLike):
         return _load_environment(source, options)
     path = Path(source)
@@ -121,35 +124,48 @@ def _load_environment(environment: Any, options: ModelOptions) -> SafeMDP:
         from dead_ends.io.explore import explore_minigrid
 
         options.reject(name, "fail_states")
-        return explore_minigrid(env, fail_if=options.fail_if, progress=sys.stderr.isatty())
-    return load_gymnasium(env, fail_states=options.fail_states, fail_if=options.fail_if)
+        return explore_minigrid(
+            env,
+            fail_if=options.fail_if,
+            progress=sys.stderr.isatty(),
+            seed=options.seed or 0,
+        )
+    options.reject(name, "seed")
+    return load_gymnasium(
+        environment,
+        fail_states=options.fail_states,
+        fail_if=options.fail_if,
+        arguments=options.arguments,
+    )
 
 
 def _load_npz(path: Path, options: ModelOptions) -> SafeMDP:
     from dead_ends.io.npz import load_npz
 
-    options.reject(str(path), "fail_label", "fail_states", "fail_if", "arguments", "constants")
+    options.reject(
+        str(path), "fail_label", "fail_states", "fail_if", "arguments", "constants", "seed"
+    )
     return load_npz(path)
 
 
 def _load_prism(path: Path, options: ModelOptions) -> SafeMDP:
     from dead_ends.io.prism import load_prism
 
-    options.reject(str(path), "arguments", "constants")
+    options.reject(str(path), "arguments", "constants", "seed")
     return load_prism(path, options.failure())
 
 
 def _load_drn(path: Path, options: ModelOptions) -> SafeMDP:
     from dead_ends.io.drn import load_drn
 
-    options.reject(str(path), "arguments", "constants")
+    options.reject(str(path), "arguments", "constants", "seed")
     return load_drn(path, options.failure())
 
 
 def _load_with_storm(path: Path, options: ModelOptions) -> SafeMDP:
     from dead_ends.io.stormpy_models import load_with_storm
 
-    options.reject(str(path), "arguments")
+    options.reject(str(path), "arguments", "seed")
     return load_with_storm(path, options.failure(), options.constants or "")
 
 

@@ -185,8 +185,11 @@ def test_what_cannot_be_stepped_or_drawn_is_refused() -> None:
         SafeMDPEnv(started, render_mode="rgb_array")
     with pytest.raises(ValueError, match=r"unknown render mode 'human'; known are"):
         SafeMDPEnv(started, render_mode="human")
-    with pytest.raises(ValueError, match=r"reset: state 1 is not a state of the model"):
-        SafeMDPEnv(started).reset(options={"state": 1})
+    for wrong in (1, -1, 0.5, float("nan"), "0"):
+        with pytest.raises(ValueError, match=rf"reset: state {wrong!r} is not one of 0 to 0"):
+            SafeMDPEnv(started).reset(options={"state": wrong})
+        with pytest.raises(ValueError, match=rf"action {wrong!r} is not one of 0 to 0"):
+            SafeMDPEnv(started).step(wrong)  # type: ignore[arg-type]  # what a caller may do wrong
 
 
 def test_gymnasium_finds_the_module_by_itself() -> None:
