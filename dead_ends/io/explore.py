@@ -257,7 +257,7 @@ class _Exploration:
         if self.numbers.get(place) != target:
             raise ValueError(
                 f"{self._said(state)}, action {self.actions[index]}: leads to "
-                f"{self._said(target)} on one path and to {self._text(place)} on another; the "
+                f"{self._said(target)} on one path and to {self._met(place)} on another; the "
                 "key does not determine its successors, or the environment is stochastic"
             )
         self.again.append((state, index, target, reward, ended))
@@ -292,6 +292,10 @@ class _Exploration:
 
     def _said(self, state: int) -> str:
         return f"state {state} ({self._text(list(self.numbers)[state])})"
+
+    def _met(self, place: Hashable) -> str:
+        known = place in self.numbers
+        return self._said(self.numbers[place]) if known else f"a new state ({self._text(place)})"
 
     def _text(self, place: Hashable) -> str:
         """A state's name, if names are given, or its key."""

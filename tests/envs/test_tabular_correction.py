@@ -8,7 +8,6 @@ from types import ModuleType
 from typing import Any
 
 import gymnasium
-import minari
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -276,6 +275,7 @@ def test_task_actions_that_are_none(action: Any) -> None:
 
 
 def lava() -> Any:
+    pytest.importorskip("minigrid", reason="minigrid is not installed")
     return make_environment("MiniGrid-LavaGapS5-v0")
 
 
@@ -295,10 +295,11 @@ def crash(env: TabularCorrection, steps: int, rng: np.random.Generator) -> bool:
 
 def test_a_filter_of_an_explored_layout(tmp_path: Path) -> None:
     """It protects in that layout, and is refused in another."""
+    env = lava()
     path = tmp_path / "lava.npz"
     assert main(["export", "MiniGrid-LavaGapS5-v0", "--seed", "1", "--out", str(path)]) == 0
     assert load_filter(path).metadata["seed"] == 1
-    env = TabularCorrection(lava(), load_filter(path), key=minigrid_key)
+    env = TabularCorrection(env, load_filter(path), key=minigrid_key)
     rng = np.random.default_rng(0)
     for _ in range(5):
         env.reset(seed=1)
@@ -382,6 +383,7 @@ def tree_map(function: Callable[..., Any], tree: Any, *others: Any) -> Any:
 
 
 def test_minari_records_every_info(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    minari = pytest.importorskip("minari", reason="minari is not installed")
     jax = ModuleType("jax")
     jax.tree_util = ModuleType("jax.tree_util")  # type: ignore[attr-defined]  # a stand-in
     jax.tree_util.tree_map = tree_map
@@ -396,17 +398,15 @@ def test_minari_records_every_info(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         for _ in range(10):
             if any(collector.step(2)[2:4]):
                 break
-    dataset = collector.create_dataset(
-        "lake/filtered-v0",
-        algorithm_name="right",
-        author="a test",
-        author_email="a@test",
-        code_permalink="none",
-    )
+    words = ("author", "author_email", "algorithm_name", "code_permalink", "description")
+    about = dict.fromkeys(words, "a test")
+    before = collector._tmp_dir
+    dataset = collector.create_dataset("lake/filtered-v0", eval_env=env, **about)
+    for folder in (before, collector._tmp_dir):  # which Minari leaves to the garbage collector
+        folder.cleanup()
     infos = [episode.infos for episode in dataset]
     assert sum(int(info["intervened"].sum()) for info in infos) == env.interventions > 0
     assert all(
         info["task_action"][1:].tolist() == [2] * (len(info["intervened"]) - 1) for info in infos
     )
     assert isinstance(dataset.recover_environment(), gymnasium.Env)
-    collector.close()

@@ -163,12 +163,12 @@ class Toll(Line):
         (
             Sled(),
             None,
-            r"state . \(.\), action .: leads to state . \(.\) on one path and to . on",
+            r"state . \(.\), action .: leads to state . \(.\) on one path and to .* on another",
         ),
         (
             Battery(),
             None,
-            r"to state . \(.\) on one path and to . on another; the key does not",
+            r"to state . \(.\) on one path and to state . \(.\) on another; the key d",
         ),
         (Toll(), "r < 0", r"state . \(.\), action .: a violation on one path and none on another"),
     ],

@@ -214,13 +214,16 @@ def claimed(**others: Any) -> dict[int, Any]:
     """What is true of the environment, but for the outcomes of action 2 in state 1."""
     ends = [(0.05, 2, -1.0, True)]
     fickle = others.get("fickle", [(0.95, 0, -1.0, False), *ends])
+    end = {1: [(1.0, 2, 0.0, True)]}
     stay = [[(1.0, s, -1.0, False)] for s in range(2)]
-    return {0: {1: stay[0], 2: [(1.0, 1, -1.0, False)]}, 1: {1: stay[1], 2: fickle}, 2: {1: ends}}
+    return {0: {1: stay[0], 2: [(1.0, 1, -1.0, False)]}, 1: {1: stay[1], 2: fickle}, 2: end}
 
 
 def test_a_true_table_with_actions_from_1() -> None:
     model = load_gymnasium(Claims(claimed()), fail_if="a == 2 and s2 == 2")
-    assert model.transitions().toarray()[[1, 3], :].tolist() == [[0, 1, 0, 0], [0.95, 0, 0, 0.05]]
+    rows = model.transitions().toarray()[[1, 3], :4]
+    assert rows.tolist() == [[0, 1, 0, 0], [0.95, 0, 0, 0.05]]
+    assert np.flatnonzero(model.fail).tolist() == [3]
     assert model.action_names == ("1", "2")
     listed = [list(row.values()) for row in claimed().values()]
     assert load_gymnasium(Claims(listed), fail_states=[2]).num_actions == 2
