@@ -161,8 +161,8 @@ def safety_filter(
     keys = None
     if isinstance(model, EnvironmentModel):
         keys = tuple(key_text(key) for key in model.keys)
-        if model.seed is not None:
-            description["seed"] = model.seed
+        origin = {"seed": model.seed, "table": model.table}
+        description |= {name: value for name, value in origin.items() if value is not None}
     names = (model.state_names, model.action_names)
     return FilterTable(allowed, recovery, description, *names, keys)
 

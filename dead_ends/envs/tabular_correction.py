@@ -13,8 +13,9 @@ or by the key with which the environment was explored,
     env = TabularCorrection(gymnasium.make("MiniGrid-LavaGapS5-v0"), table, key=minigrid_key)
 
 An environment in a state that the table does not have, such as that of another layout, is an
-error. Where a reset draws the layout, give in place of the table a function that makes it: it is
-called after each reset that leads to a state which the present table does not have.
+error; so is one with another transition table ``P`` than the filter was made from. Where a reset
+draws the layout, give in place of the table a function that makes it: it is called after each
+reset that leads to such a layout.
 
 Needs gymnasium, the extra ``gym``.
 """
@@ -31,11 +32,17 @@ from gymnasium.utils import RecordConstructorArgs
 
 from dead_ends.io.environment_model import canonical_key, key_text, short
 from dead_ends.io.filter_table import FilterTable, load_filter
+from dead_ends.io.gymnasium_table import table_digest
 from dead_ends.io.trial import discrete_range
 
 __all__ = ["TabularCorrection"]
 
 Env = gymnasium.Env[Any, int]
+
+OTHER_TABLE = (
+    "the filter was made from another transition table P than the environment's, of another layout "
+    "or with other arguments"
+)
 
 
 class TabularCorrection(gymnasium.Wrapper[Any, int, Any, int], RecordConstructorArgs):
@@ -49,9 +56,8 @@ class TabularCorrection(gymnasium.Wrapper[Any, int, Any, int], RecordConstructor
     Args:
         env: the environment.
         table: a filter; a file that :func:`dead_ends.load_filter` reads (then ``env.spec`` can
-            be written as JSON); or, with ``key``, a function that makes a filter from the
-            environment after its reset, such as
-            ``lambda env: safety_filter(explore_minigrid(env, seed=None))``.
+            be written as JSON); or a function that makes a filter from the environment after its
+            reset, such as ``lambda env: safety_filter(explore_minigrid(env, seed=None))``.
         key: from the unwrapped environment to the key of its state; None: its observation.
 
     Attributes:
@@ -74,12 +80,13 @@ class TabularCorrection(gymnasium.Wrapper[Any, int, Any, int], RecordConstructor
         self.actions = discrete_range(env.action_space, "actions")
         self.key = key
         self.table: FilterTable | None = None
+        self._read: tuple[Any, str | None] | None = None
         self._make = table if callable(table) else None
         if isinstance(table, FilterTable):
             self._use(table)
         elif not callable(table):
             self._use(load_filter(table))
-        elif key is None:
+        elif key is None and not hasattr(env.unwrapped, "P"):
             raise ValueError("a table that is made at resets needs a key to tell layouts apart")
         self.steps = 0
         self.interventions = 0
@@ -92,12 +99,16 @@ class TabularCorrection(gymnasium.Wrapper[Any, int, Any, int], RecordConstructor
         """Start an episode; its count of interventions is 0 again.
 
         Raises:
-            ValueError: if the table does not have the state in which the episode starts.
+            ValueError: if the table does not have the state in which the episode starts, or is of
+                another layout.
         """
         self._state = None
         observation, info = self.env.reset(seed=seed, options=options)
-        if self._make is not None and self._find(observation) is None:
+        stale = self.table is None or not self._fits(self.table)
+        if self._make is not None and (stale or self._find(observation) is None):
             self._use(self._make(self.env))
+        elif stale:
+            raise ValueError(OTHER_TABLE)
         self._state = self._state_of(observation)
         self._in_episode = 0
         none = self.actions.start - 1
@@ -161,7 +172,21 @@ class TabularCorrection(gymnasium.Wrapper[Any, int, Any, int], RecordConstructor
             self._check_observations(table, num_states)
         elif table.keys is None:
             raise ValueError("the table has no keys: make it of what explore returns")
+        if not self._fits(table):
+            raise ValueError(OTHER_TABLE)
         self.table = table
+
+    def _fits(self, table: FilterTable) -> bool:
+        """Whether the environment's P, if the filter was made from one, is the same."""
+        made_from = table.metadata.get("table")
+        return made_from is None or made_from == self._digest()
+
+    def _digest(self) -> str | None:
+        """Of the environment's P, which is read again only if it was replaced."""
+        P = getattr(self.env.unwrapped, "P", None)
+        if self._read is None or self._read[0] is not P:
+            self._read = (P, table_digest(self.env))
+        return self._read[1]
 
     def _check_observations(self, table: FilterTable, num_states: int) -> None:
         space = self.observation_space

@@ -47,10 +47,12 @@ class EnvironmentModel(SafeMDP):
         keys: the keys of the first states in canonical form, ``Ended`` where the episode is over;
             the states after them were added for violations and ends.
         seed: of the environment's reset, which may draw a layout; None: it was not reset.
+        table: the SHA-256 of the environment's transition table; None if it has none.
     """
 
     keys: tuple[Hashable, ...] = ()
     seed: int | None = None
+    table: str | None = None
 
     def state_of(self, key: Any) -> int:
         """The number of the state that has this key.
@@ -73,11 +75,15 @@ class EnvironmentModel(SafeMDP):
 
 
 def model_of_environment(
-    model: SafeMDP, keys: Iterable[Hashable], seed: int | None = None
+    model: SafeMDP,
+    keys: Iterable[Hashable],
+    *,
+    seed: int | None = None,
+    table: str | None = None,
 ) -> EnvironmentModel:
-    """The same model with the keys, in canonical form, of its first states."""
+    """The same model with the keys, in canonical form, of its first states, and whose it is."""
     contents = {field.name: getattr(model, field.name) for field in fields(SafeMDP)}
-    return EnvironmentModel(**contents, keys=tuple(keys), seed=seed)
+    return EnvironmentModel(**contents, keys=tuple(keys), seed=seed, table=table)
 
 
 def canonical_key(key: Any) -> Hashable:

@@ -196,7 +196,7 @@ class _Exploration:
             harmless[transitions.target[~violates]] = True
             fails = transitions.terminal & ~harmless
             transitions = replace(transitions, fail=fails, terminal=transitions.terminal & ~fails)
-        return model_of_environment(build_model(transitions, fail_if), self.numbers, self.seed)
+        return model_of_environment(build_model(transitions, fail_if), self.numbers, seed=self.seed)
 
     def _first(self, env: Any) -> Any:
         """A copy in the first state; reset twice, if at all, while the global generators differ."""

@@ -7,11 +7,12 @@ Two formats, chosen by the suffix, so that a runtime needs only NumPy or only a 
     .json   an object with the same keys: S lists of A booleans, S integers, an object
 
 To apply it in state s to a task action a: execute a if allowed[s, a], else recovery[s].
-``metadata`` is for people and tools (how the table was made); no number in it is used.
+``metadata`` is for people and tools: it says how the table was made.
 
 Three lists of strings may be there too: ``state_names`` (S), ``action_names`` (A) and ``keys``,
 which say for the first states by which key their environment knows them, see
 :mod:`dead_ends.io.environment_model`. The states after them were added for violations and ends.
+``metadata["table"]``, if it is there, tells the environment's transition table from others.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ has any dead-end, slippery or not: from every other state some policy never fail
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
@@ -29,7 +30,7 @@ from dead_ends.io.transitions import Condition, Transitions, build_model, state_
 from dead_ends.io.trial import discrete_range, numerals
 from dead_ends.model import Geometry, SafeMDP
 
-__all__ = ["environment_name", "load_gymnasium", "make_environment"]
+__all__ = ["environment_name", "load_gymnasium", "make_environment", "table_digest"]
 
 _REGISTERED_BY = {
     "dead_ends/": ("dead_ends.envs.registration", "gym"),
@@ -106,16 +107,20 @@ def load_gymnasium(
             if rules.fail_states is not None:
                 fail_states = rules.fail_states(unwrapped)
         transitions = _describe(_read_table(unwrapped), unwrapped, rules)
+        table = _digest(transitions)
         if isinstance(environment, str):
-            _check_same(
-                transitions, _read_table(make_environment(environment, arguments).unwrapped)
-            )
+            _check_same(table, make_environment(environment, arguments))
         check_steps(unwrapped, transitions)
         if fail_states is not None:
             transitions = replace(transitions, fail=state_mask(fail_states, transitions.num_states))
         estimate = isinstance(own, SafeMDP) and own.estimate
         model = replace(build_model(transitions, fail_if), estimate=estimate)
-        return model_of_environment(model, range(transitions.num_states))
+        return model_of_environment(model, range(transitions.num_states), table=table)
+
+
+def table_digest(env: Any) -> str | None:
+    """What tells the environment's transition table from another: None if it has none."""
+    return _digest(_read_table(env.unwrapped)) if hasattr(env.unwrapped, "P") else None
 
 
 def environment_name(environment: Any) -> str:
@@ -207,14 +212,21 @@ def _items(row: Any, state: int, actions: range | None) -> list[tuple[int, Any]]
     return [(int(action), outcomes) for action, outcomes in row.items()]
 
 
-def _check_same(one: Transitions, other: Transitions) -> None:
-    """Two environments of one id have one table, or a model of it would be nobody's."""
-    columns = ("source", "action", "target", "probability", "reward", "done")
-    if not all(np.array_equal(getattr(one, name), getattr(other, name)) for name in columns):
+def _check_same(table: str, again: Any) -> None:
+    """An id makes the same table each time, or a model of it would be nobody's."""
+    if table_digest(again) != table:
         raise ValueError(
             "the table P is another each time the environment is made, for it is drawn at random; "
             "say what is drawn by arguments (--env-arg), or load an environment that was made"
         )
+
+
+def _digest(table: Transitions) -> str:
+    """SHA-256 of the transitions and of what ends an episode; rewards do not count."""
+    content = hashlib.sha256(f"{table.num_states} {table.num_actions}\n".encode())
+    for column in (table.source, table.action, table.target, table.probability, table.done):
+        content.update(np.ascontiguousarray(column, dtype="<f8").data)
+    return content.hexdigest()
 
 
 def _describe(transitions: Transitions, env: Any, rules: _Rules) -> Transitions:

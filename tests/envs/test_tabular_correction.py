@@ -1,5 +1,6 @@
 """Behavior correction on real environments: what the tables promise is what happens."""
 
+import itertools
 import math
 import sys
 from collections.abc import Callable, Iterator
@@ -347,6 +348,50 @@ def test_what_is_made_or_keyed_wrongly() -> None:
         TabularCorrection(make("FrozenLake-v1"), shifted)
     with pytest.raises(ValueError, match=r"observations are Discrete\(64\), but the table has 16"):
         TabularCorrection(make("FrozenLake-v1", map_name="8x8"), lake)
+
+
+def test_another_map_is_refused() -> None:
+    """Though its observations are numbered alike; so is the same map on other ice."""
+    lake = safety_filter(load_model("FrozenLake-v1"))
+    for arguments in ({"desc": ["SFFF", "FFFF", "FFFF", "FHFG"]}, {"is_slippery": False}):
+        with pytest.raises(ValueError, match="from another transition table P than the environ"):
+            TabularCorrection(make("FrozenLake-v1", **arguments), lake)
+    assert TabularCorrection(make("FrozenLake-v1"), lake).table is lake
+
+
+class DrawnLake(gymnasium.Wrapper[int, int, int, int]):
+    """A new map at every other reset."""
+
+    def __init__(self) -> None:
+        super().__init__(make("FrozenLake-v1", is_slippery=False))
+        self.maps = itertools.cycle([["SF", "HG"], ["SF", "HG"], ["SH", "FG"]])
+
+    @property
+    def unwrapped(self) -> Any:
+        return self.env.unwrapped
+
+    def reset(self, **keywords: Any) -> tuple[int, dict[str, Any]]:
+        self.env = make("FrozenLake-v1", is_slippery=False, desc=next(self.maps))
+        return self.env.reset(**keywords)
+
+
+def test_a_table_of_maps_that_are_drawn_at_the_reset() -> None:
+    drawn = DrawnLake()
+    drawn.reset()
+    fixed = TabularCorrection(drawn, safety_filter(load_model(drawn)))
+    fixed.reset()
+    with pytest.raises(ValueError, match="from another transition table P than the environ"):
+        fixed.reset()
+    made: list[SafeMDP] = []
+
+    def make_table(env: gymnasium.Env[Any, int]) -> FilterTable:
+        made.append(load_model(env))
+        return safety_filter(made[-1])
+
+    env = TabularCorrection(DrawnLake(), make_table)
+    for _ in range(6):
+        env.reset()
+    assert [np.flatnonzero(model.fail).tolist() for model in made] == [[2], [1], [2], [1]]
 
 
 def table_of_seed_0() -> FilterTable:
