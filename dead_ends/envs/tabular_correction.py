@@ -172,9 +172,23 @@ class TabularCorrection(gymnasium.Wrapper[Any, int, Any, int], RecordConstructor
             self._check_observations(table, num_states)
         elif table.keys is None:
             raise ValueError("the table has no keys: make it of what explore returns")
+        if table.keys is not None:
+            self._check_wrappers()
         if not self._fits(table):
             raise ValueError(OTHER_TABLE)
         self.table = table
+
+    def _check_wrappers(self) -> None:
+        """A table with keys is that of the unwrapped environment, whose actions these must be."""
+        env: Any = self.env
+        while isinstance(env, gymnasium.Wrapper):
+            other = isinstance(env, gymnasium.ObservationWrapper) and self.key is None
+            if other or isinstance(env, gymnasium.ActionWrapper):
+                raise ValueError(
+                    f"{type(env).__name__} changes what the table was made for: put it around "
+                    "TabularCorrection, not beneath it"
+                )
+            env = env.env
 
     def _fits(self, table: FilterTable) -> bool:
         """Whether the environment's P, if the filter was made from one, is the same."""

@@ -359,6 +359,19 @@ def test_another_map_is_refused() -> None:
     assert TabularCorrection(make("FrozenLake-v1"), lake).table is lake
 
 
+def test_wrappers_that_renumber_are_refused_beneath() -> None:
+    lake = safety_filter(load_model("FrozenLake-v1"))
+    env, space = make("FrozenLake-v1"), gymnasium.spaces.Discrete(4)
+    for wrapped in (
+        gymnasium.wrappers.TransformAction(env, lambda action: 3 - action, space),
+        gymnasium.wrappers.TransformObservation(
+            env, lambda state: 15 - state, env.observation_space
+        ),
+    ):
+        with pytest.raises(ValueError, match=r"Transform\w+ changes what the table was made for"):
+            TabularCorrection(wrapped, lake)
+
+
 class DrawnLake(gymnasium.Wrapper[int, int, int, int]):
     """A new map at every other reset."""
 
