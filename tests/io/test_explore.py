@@ -148,6 +148,19 @@ class Battery(Line):
         return 0 if self.steps > 60 else super().move(action)
 
 
+class FarAway(Line):
+    """From place 150, farther than any random walk comes, the way on depends on the way there."""
+
+    def move(self, action: int) -> int:
+        jumps = self.s == 150 and self.speed == 0
+        self.speed = action
+        return 3 if jumps else super().move(action)
+
+    def step(self, action: int) -> tuple[int, float, bool, bool, dict[str, Any]]:
+        *_, info = super().step(action)
+        return self.s, 0.0, self.s > 155, False, info
+
+
 class Toll(Line):
     """Going back to 0 ends the episode, on the second visit at a price."""
 
@@ -170,6 +183,11 @@ class Toll(Line):
             None,
             r"to state . \(.\) on one path and to state . \(.\) on another; the key d",
         ),
+        (
+            FarAway(),
+            None,
+            r"state 150 \(150\), action 0: leads to state .* and to a new state .* on",
+        ),
         (Toll(), "r < 0", r"state . \(.\), action .: a violation on one path and none on another"),
     ],
 )
@@ -188,6 +206,7 @@ def test_the_whole_key_is_accepted() -> None:
     "key",
     [
         lambda env: np.array([env.s, env.speed]),
+        lambda env: np.array([env.s + 1, env.speed], dtype=float if env.steps else int),
         lambda env: [env.s, [float(env.speed)]],
         lambda env: {"place": np.array(env.s), "others": [{"speed": np.float32(env.speed)}]},
     ],
