@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from dead_ends.io.transitions import Transitions
-from dead_ends.io.trial import copy_of, global_generators_kept, use_randomness
+from dead_ends.io.trial import copy_of, global_generators_kept, is_discrete, use_randomness
 
 __all__ = ["check_steps"]
 
@@ -40,7 +40,7 @@ def check_steps(env: Any, transitions: Transitions) -> None:
     Raises:
         ValueError: naming a step, or a first state, that the table excludes.
     """
-    if not hasattr(env, "step") or not hasattr(env.observation_space, "n"):
+    if not hasattr(env, "step") or not is_discrete(env.observation_space):
         return
     outcomes = _outcomes(transitions)
     for state, index, seen in _steps(env, outcomes, transitions):

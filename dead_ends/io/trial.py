@@ -12,19 +12,34 @@ import numpy as np
 
 from dead_ends.io.errors import optional_module
 
-__all__ = ["copy_of", "discrete_range", "global_generators_kept", "numerals", "use_randomness"]
+__all__ = [
+    "copy_of",
+    "discrete_range",
+    "global_generators_kept",
+    "is_discrete",
+    "numerals",
+    "use_randomness",
+]
 
 
 def copy_of(env: Any) -> Any:
-    """A copy of what lies beneath the environment's wrappers.
+    """A copy of what lies beneath the environment's wrappers, which draws no pictures.
 
     Raises:
         ValueError: if it cannot be copied.
     """
     try:
-        return copy.deepcopy(env.unwrapped)
+        trial = copy.deepcopy(env.unwrapped)
     except (TypeError, NotImplementedError) as error:
         raise ValueError(f"the environment cannot be copied: {error}") from None
+    trial.render_mode = None
+    return trial
+
+
+def is_discrete(space: Any) -> bool:
+    """Whether it is one of Gymnasium's Discrete spaces."""
+    spaces = optional_module("gymnasium", "an environment", "gym").spaces
+    return isinstance(space, spaces.Discrete)
 
 
 def discrete_range(space: Any, what: str) -> range:
@@ -33,8 +48,7 @@ def discrete_range(space: Any, what: str) -> range:
     Raises:
         ValueError: for another space, naming it.
     """
-    spaces = optional_module("gymnasium", "an environment", "gym").spaces
-    if not isinstance(space, spaces.Discrete):
+    if not is_discrete(space):
         raise ValueError(f"the environment's {what} must be Discrete, not {space}")
     return range(int(space.start), int(space.start + space.n))
 

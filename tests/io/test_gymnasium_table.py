@@ -1,6 +1,7 @@
 """The installed Gymnasium's tables: their rules are the oracle."""
 
 import sys
+import threading
 from types import SimpleNamespace
 from typing import Any
 
@@ -257,6 +258,17 @@ def test_a_true_table_with_actions_from_1() -> None:
 def test_a_false_table_is_refused(fickle: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         load_gymnasium(Claims(claimed(fickle=fickle)), fail_states=[2])
+
+
+def test_environments_that_show_pictures_or_cannot_be_copied() -> None:
+    env = gymnasium.make("CliffWalking-v1", render_mode="human")
+    assert load_gymnasium(env).num_states == 49  # and no window is opened
+    assert (env.render_mode, env.unwrapped.window_surface) == ("human", None)  # type: ignore[attr-defined]
+    env.unwrapped.lock = threading.Lock()  # type: ignore[attr-defined]
+    with pytest.raises(
+        ValueError, match="CliffWalking-v1: the environment cannot be copied: cannot"
+    ):
+        load_gymnasium(env)
 
 
 def test_actions_and_starts_that_the_environment_does_not_have() -> None:
