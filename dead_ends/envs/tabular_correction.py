@@ -13,7 +13,7 @@ or by the key with which the environment was explored,
     env = TabularCorrection(gymnasium.make("MiniGrid-LavaGapS5-v0"), table, key=minigrid_key)
 
 An environment in a state that the table does not have, such as that of another layout, is an
-error; so is one with another transition table ``P`` than the filter was made from. Where a reset
+error; so is one with another transition table than the filter was made from. Where a reset
 draws the layout, give in place of the table a function that makes it: it is called after each
 reset that leads to such a layout.
 
@@ -32,7 +32,7 @@ from gymnasium.utils import RecordConstructorArgs
 
 from dead_ends.io.environment_model import canonical_key, key_text, short
 from dead_ends.io.filter_table import FilterTable, load_filter
-from dead_ends.io.gymnasium_table import table_digest
+from dead_ends.io.gymnasium_table import table_digest, transition_table
 from dead_ends.io.trial import discrete_range
 
 __all__ = ["TabularCorrection"]
@@ -40,7 +40,7 @@ __all__ = ["TabularCorrection"]
 Env = gymnasium.Env[Any, int]
 
 OTHER_TABLE = (
-    "the filter was made from another transition table P than the environment's, of another layout "
+    "the filter was made from another transition table than the environment's, of another layout "
     "or with other arguments"
 )
 
@@ -86,7 +86,7 @@ class TabularCorrection(gymnasium.Wrapper[Any, int, Any, int], RecordConstructor
             self._use(table)
         elif not callable(table):
             self._use(load_filter(table))
-        elif key is None and not hasattr(env.unwrapped, "P"):
+        elif key is None and transition_table(env) is None:
             raise ValueError("a table that is made at resets needs a key to tell layouts apart")
         self.steps = 0
         self.interventions = 0
@@ -196,10 +196,10 @@ class TabularCorrection(gymnasium.Wrapper[Any, int, Any, int], RecordConstructor
         return made_from is None or made_from == self._digest()
 
     def _digest(self) -> str | None:
-        """Of the environment's P, which is read again only if it was replaced."""
-        P = getattr(self.env.unwrapped, "P", None)
-        if self._read is None or self._read[0] is not P:
-            self._read = (P, table_digest(self.env))
+        """Of the environment's table, which is read again only if it was replaced."""
+        present = transition_table(self.env)
+        if self._read is None or self._read[0] is not present:
+            self._read = (present, table_digest(self.env))
         return self._read[1]
 
     def _check_observations(self, table: FilterTable, num_states: int) -> None:

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dead_ends.checker import model_digest
 from dead_ends.io.environment_model import model_of_environment
 from dead_ends.io.errors import located, optional_module
 from dead_ends.io.table_trial import check_steps
@@ -30,7 +31,13 @@ from dead_ends.io.transitions import Condition, Transitions, build_model, state_
 from dead_ends.io.trial import discrete_range, numerals
 from dead_ends.model import Geometry, SafeMDP
 
-__all__ = ["environment_name", "load_gymnasium", "make_environment", "table_digest"]
+__all__ = [
+    "environment_name",
+    "load_gymnasium",
+    "make_environment",
+    "table_digest",
+    "transition_table",
+]
 
 _REGISTERED_BY = {
     "dead_ends/": ("dead_ends.envs.registration", "gym"),
@@ -93,7 +100,7 @@ def load_gymnasium(
         unwrapped = env.unwrapped
         own = getattr(unwrapped, "model", None)
         if isinstance(own, SafeMDP) and fail_states is None and fail_if is None:
-            return own
+            return model_of_environment(own, range(own.num_states), table=table_digest(env))
         if not hasattr(unwrapped, "P"):
             raise ValueError("the environment has no transition table P")
         rules = _RULES.get(type(unwrapped).__name__, _Rules())
@@ -107,7 +114,7 @@ def load_gymnasium(
             if rules.fail_states is not None:
                 fail_states = rules.fail_states(unwrapped)
         transitions = _describe(_read_table(unwrapped), unwrapped, rules)
-        table = _digest(transitions)
+        table = table_digest(env)
         if isinstance(environment, str):
             _check_same(table, make_environment(environment, arguments))
         check_steps(unwrapped, transitions)
@@ -118,9 +125,20 @@ def load_gymnasium(
         return model_of_environment(model, range(transitions.num_states), table=table)
 
 
+def transition_table(env: Any) -> Any:
+    """What says how the environment moves: the safe MDP that it steps, or P; None if neither."""
+    own = getattr(env.unwrapped, "model", None)
+    return own if isinstance(own, SafeMDP) else getattr(env.unwrapped, "P", None)
+
+
 def table_digest(env: Any) -> str | None:
     """What tells the environment's transition table from another: None if it has none."""
-    return _digest(_read_table(env.unwrapped)) if hasattr(env.unwrapped, "P") else None
+    table = transition_table(env)
+    if table is None:
+        return None
+    return (
+        model_digest(table) if isinstance(table, SafeMDP) else _digest(_read_table(env.unwrapped))
+    )
 
 
 def environment_name(environment: Any) -> str:
@@ -212,7 +230,7 @@ def _items(row: Any, state: int, actions: range | None) -> list[tuple[int, Any]]
     return [(int(action), outcomes) for action, outcomes in row.items()]
 
 
-def _check_same(table: str, again: Any) -> None:
+def _check_same(table: str | None, again: Any) -> None:
     """An id makes the same table each time, or a model of it would be nobody's."""
     if table_digest(again) != table:
         raise ValueError(

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import fields
 
 import gymnasium
 import numpy as np
@@ -13,6 +14,7 @@ from dead_ends.envs import registration
 from dead_ends.envs.bridge import bridge
 from dead_ends.envs.safe_mdp_env import SafeMDPEnv
 from dead_ends.io import load_model
+from dead_ends.io.environment_model import EnvironmentModel
 
 IDS = ["dead_ends/Brake-v0", "dead_ends/IceGrid-v0"]
 
@@ -91,7 +93,11 @@ def test_table_is_the_model(slip: float) -> None:
 @pytest.mark.parametrize("env_id", IDS)
 def test_load_model_gives_the_model_that_is_stepped(env_id: str) -> None:
     env = gymnasium.make(env_id)
-    assert load_model(env) is model_of(env)
+    with_keys = load_model(env)
+    for field in fields(SafeMDP):
+        assert getattr(with_keys, field.name) is getattr(model_of(env), field.name)
+    assert isinstance(with_keys, EnvironmentModel)
+    assert with_keys.keys == tuple(range(with_keys.num_states))
     loaded = load_model(env_id)
     np.testing.assert_array_equal(loaded.next_state, model_of(env).next_state)
     np.testing.assert_array_equal(loaded.fail, model_of(env).fail)

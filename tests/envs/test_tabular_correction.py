@@ -354,9 +354,13 @@ def test_another_map_is_refused() -> None:
     """Though its observations are numbered alike; so is the same map on other ice."""
     lake = safety_filter(load_model("FrozenLake-v1"))
     for arguments in ({"desc": ["SFFF", "FFFF", "FFFF", "FHFG"]}, {"is_slippery": False}):
-        with pytest.raises(ValueError, match="from another transition table P than the environ"):
+        with pytest.raises(ValueError, match="from another transition table than the environ"):
             TabularCorrection(make("FrozenLake-v1", **arguments), lake)
     assert TabularCorrection(make("FrozenLake-v1"), lake).table is lake
+    ice = safety_filter(load_model(make("dead_ends/IceGrid-v0", text=["S.L"])))
+    assert TabularCorrection(small_env(), ice).table is ice
+    with pytest.raises(ValueError, match="from another transition table than the environ"):
+        TabularCorrection(make("dead_ends/IceGrid-v0", text=["SL."]), ice)
 
 
 def test_wrappers_that_renumber_are_refused_beneath() -> None:
@@ -393,7 +397,7 @@ def test_a_table_of_maps_that_are_drawn_at_the_reset() -> None:
     drawn.reset()
     fixed = TabularCorrection(drawn, safety_filter(load_model(drawn)))
     fixed.reset()
-    with pytest.raises(ValueError, match="from another transition table P than the environ"):
+    with pytest.raises(ValueError, match="from another transition table than the environ"):
         fixed.reset()
     made: list[SafeMDP] = []
 
