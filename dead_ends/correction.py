@@ -157,7 +157,7 @@ def safety_filter(
     stays = safe_actions(model)
     allowed = stays if epsilon_safe is None else allowed_actions(critic, epsilon_safe)
     recovery = np.where(stays.any(axis=1), stays.argmax(axis=1), recovery_policy(critic))
-    description = dict(metadata or {})
+    description = ({"estimate": True} if model.estimate else {}) | dict(metadata or {})
     keys = None
     if isinstance(model, EnvironmentModel):
         keys = tuple(key_text(key) for key in model.keys)

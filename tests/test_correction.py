@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from fractions import Fraction
 from itertools import product
 from typing import Any
@@ -394,6 +395,7 @@ def test_the_filter_of_a_model() -> None:
     assert (table.keys, table.metadata) == (None, {})
     assert safety_filter(model).allowed.tolist() == table.allowed.tolist()
     assert safety_filter(model, blind, 0.5).allowed.all()
+    assert safety_filter(replace(model, estimate=True)).metadata == {"estimate": True}
     explored = model_of_environment(model, [0, (1, 2.5), Ended(0)], seed=3, table="abc")
     keyed = safety_filter(explored, metadata={"made by": "a test"})
     assert keyed.keys == ("0", "(1, 2.5)", "Ended(key=0)")
