@@ -30,7 +30,8 @@ from dead_ends.bellman import value_iteration
 from dead_ends.io.environment_model import EnvironmentModel, key_text
 from dead_ends.io.filter_table import FilterTable
 from dead_ends.labels import safe_actions
-from dead_ends.model import SafeMDP
+from dead_ends.model import SafeMDP, require_type
+from dead_ends.model_input import plain_array
 from dead_ends.policies import (
     Critic,
     allowed_actions,
@@ -106,6 +107,7 @@ def corrected_model(
         ValueError: as :func:`dead_ends.allowed_actions`; if shapes do not fit; if the
             recovery policy is needed in a state where its action is not available.
     """
+    require_type(model, SafeMDP, "corrected_model")
     allowed = allowed_actions(Q, epsilon_safe)
     if allowed.shape != (model.num_states, model.num_actions):
         raise ValueError(
@@ -188,7 +190,7 @@ def _corrected(
 
 
 def _recovery_indices(recovery: ArrayLike, model: SafeMDP) -> NDArray[np.integer[Any]]:
-    rec = np.asarray(recovery)
+    rec = plain_array("recovery", recovery)
     if rec.shape != (model.num_states,) or not np.issubdtype(rec.dtype, np.integer):
         raise ValueError(
             f"recovery must be integers of shape ({model.num_states},), "

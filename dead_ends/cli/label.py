@@ -71,6 +71,7 @@ def summarize(
         "actions": model.num_actions,
         **{label.name.lower(): labelling.count(label) for label in sorted(Label)},
         "terminal": int(model.terminal.sum()),
+        **({} if model.normalised is None else {"rows_normalised": model.normalised}),
         "horizon": labelling.horizon,
         "boundary_horizon": labelling.boundary_horizon,
         "reachable_horizon": labelling.reachable_horizon,
@@ -116,6 +117,8 @@ def _rows(summary: dict[str, Any]) -> list[tuple[str, Any]]:
     ]
     if summary["kind"] == "stochastic":
         rows.append(("at risk", summary["at_risk"]))
+    if summary.get("rows_normalised"):
+        rows.append(("rows normalised", summary["rows_normalised"]))
     rows.append(("horizon H", _known(summary["horizon"])))
     rows.append(("boundary horizon H_b", _known(summary["boundary_horizon"])))
     if summary["reachable_horizon"] is not None:

@@ -18,7 +18,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from dead_ends.model import Geometry, SafeMDP
+from dead_ends.model import Geometry, SafeMDP, require_type
 
 __all__ = ["SafeMDPEnv"]
 
@@ -62,6 +62,7 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
         render_mode: str | None = None,
         colors: NDArray[np.uint8] | None = None,
     ) -> None:
+        require_type(model, SafeMDP, "SafeMDPEnv")
         if model.initial is None:
             raise ValueError("the model has no initial states to start an episode in")
         if render_mode not in (None, *self.metadata["render_modes"]):

@@ -32,6 +32,7 @@ from dead_ends.io.atomic import atomic_path
 from dead_ends.io.environment_model import canonical_key, key_text
 from dead_ends.io.errors import located
 from dead_ends.io.npz import read_arrays
+from dead_ends.model_input import plain_array
 
 __all__ = ["FilterTable", "load_filter", "save_filter"]
 
@@ -62,8 +63,9 @@ class FilterTable:
     keys: Sequence[str] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "allowed", _allowed(self.allowed))
-        object.__setattr__(self, "recovery", _recovery(self.recovery, *self.allowed.shape))
+        object.__setattr__(self, "allowed", _allowed(plain_array("allowed", self.allowed)))
+        recovery = plain_array("recovery", self.recovery)
+        object.__setattr__(self, "recovery", _recovery(recovery, *self.allowed.shape))
         if not isinstance(self.metadata, Mapping):
             raise ValueError(f"metadata must be an object of JSON, not {self.metadata!r}")
         num_states, num_actions = self.allowed.shape

@@ -73,6 +73,7 @@ def load_gymnasium(
     fail_states: ArrayLike | None = None,
     fail_if: Condition | None = None,
     arguments: Mapping[str, Any] | None = None,
+    normalise: bool = False,
 ) -> SafeMDP:
     """The model of an environment with a table ``P``.
 
@@ -89,6 +90,7 @@ def load_gymnasium(
         fail_if: a condition on (s, a, r, s'), as text or a function; the transitions that
             satisfy it lead to one added fail state.
         arguments: for ``gymnasium.make``.
+        normalise: as in :meth:`dead_ends.SafeMDP.stochastic`.
 
     Raises:
         ValueError: naming the environment, and the state and action at fault; so for a step
@@ -121,7 +123,7 @@ def load_gymnasium(
         if fail_states is not None:
             transitions = replace(transitions, fail=state_mask(fail_states, transitions.num_states))
         estimate = isinstance(own, SafeMDP) and own.estimate
-        model = replace(build_model(transitions, fail_if), estimate=estimate)
+        model = replace(build_model(transitions, fail_if, normalise=normalise), estimate=estimate)
         return model_of_environment(model, range(transitions.num_states), table=table)
 
 
