@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from fractions import Fraction
 from itertools import product
 from typing import Any
@@ -13,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from dead_ends.correction import behavior_correction, corrected_model
+from dead_ends.correction import behavior_correction, corrected_model, safety_filter
+from dead_ends.io.environment_model import Ended, model_of_environment
 from dead_ends.labels import classify, safe_actions
 from dead_ends.model import Geometry, SafeMDP
 from dead_ends.policies import greedy_actions
@@ -375,3 +377,26 @@ def test_all_models_of_three_states_agree_on_when_recovery_rl_is_safe(
         assert any(stays)
         fails_by_a_tie |= not all(stays)
     assert fails_by_a_tie == by_a_tie
+
+
+def test_the_filter_of_a_model() -> None:
+    """Without a threshold it asks the graph alone, even where the critic sees no difference."""
+    model = SafeMDP.deterministic(
+        [[1, 0], [2, 2], [2, 2]],
+        np.arange(3) == 2,
+        state_names=["pier", "ice", "water"],
+        action_names=["go", "stay"],
+    )
+    blind = np.zeros((3, 2))
+    table = safety_filter(model, blind)
+    assert table.allowed.tolist() == [[False, True], [False, False], [False, False]]
+    assert table.recovery[0] == 1
+    assert (table.state_names, table.action_names) == (model.state_names, model.action_names)
+    assert (table.keys, table.metadata) == (None, {})
+    assert safety_filter(model).allowed.tolist() == table.allowed.tolist()
+    assert safety_filter(model, blind, 0.5).allowed.all()
+    assert safety_filter(replace(model, estimate=True)).metadata == {"estimate": True}
+    explored = model_of_environment(model, [0, (1, 2.5), Ended(0)], seed=3, table="abc")
+    keyed = safety_filter(explored, metadata={"made by": "a test"})
+    assert keyed.keys == ("0", "(1, 2.5)", "Ended(key=0)")
+    assert keyed.metadata == {"made by": "a test", "seed": 3, "table": "abc"}

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dead_ends import SafeMDP, load_filter, save_filter, save_model
+from dead_ends import FilterTable, SafeMDP, load_filter, save_filter, save_model
 from dead_ends.__main__ import main
 
 ROOT = Path(__file__).parents[1]
@@ -84,7 +84,7 @@ def test_each_format_has_a_command_that_runs(
 def test_the_runtime_needs_no_package_at_all(tmp_path: Path) -> None:
     (block,) = re.findall(r"```python\n(.*?)```", MODELS, re.DOTALL)
     allowed = np.random.default_rng(0).random((20, 3)) < 0.5
-    save_filter(tmp_path / "filter.json", allowed, np.arange(20) % 3)
+    save_filter(tmp_path / "filter.json", FilterTable(allowed, np.arange(20) % 3))
     table = load_filter(tmp_path / "filter.json")
     script = block + (
         "\nruntime = SafetyFilter('filter.json')\n"

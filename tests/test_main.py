@@ -94,6 +94,7 @@ def test_label_json(capsys: pytest.CaptureFixture[str], corridor: str) -> None:
     assert summary == {
         "kind": "deterministic",
         "estimate": False,
+        "seed": None,
         "states": 4,
         "actions": 2,
         "fail": 1,
@@ -162,6 +163,16 @@ def test_label_files(capsys: pytest.CaptureFixture[str], corridor: str, tmp_path
         assert np.array_equal(arrays["labels"], labelling.labels)
         assert np.array_equal(arrays["survival_time"], labelling.survival_time)
         assert json.loads(str(arrays["summary"])) == content["summary"]
+
+
+def test_the_seed_of_a_layout_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("minigrid", reason="minigrid is not installed")
+    said = []
+    for words in ([], ["--seed", "1"]):
+        _, out, _ = run(capsys, "label", "MiniGrid-LavaGapS5-v0", *words)
+        said.append(out.splitlines()[0])
+    kind = "MiniGrid-LavaGapS5-v0: deterministic, 7 actions, reset with seed"
+    assert said == [f"{kind} 0", f"{kind} 1"]
 
 
 def test_normalise(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -302,6 +313,8 @@ def test_explain_json_of_a_state_at_risk(capsys: pytest.CaptureFixture[str]) -> 
         (["label", "NoSuchLake-v1"], "NoSuchLake-v1: "),
         (["label", "Taxi-v4"], "Taxi-v4: which states fail is not known"),
         (["label", "CartPole-v1"], "CartPole-v1: the environment has no transition table P"),
+        (["label", "FrozenLake-v1", "--seed", "1"], "seed (--seed) means nothing for this kind"),
+        (["label", "FrozenLake-v1", "--seed", "-1"], "'-1' is not a seed such as 0, 1 or 2"),
         (["label", "Taxi-v4", "--fail-if", "x"], "condition 'x': unknown name 'x'"),
         (["label", "Taxi-v4", "--fail-label", "x"], "fail_label (--fail-label) means nothing"),
         (["label", "Taxi-v4", "--fail-states", "5,x"], "'x' is neither a state nor a range"),

@@ -49,7 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(summary, indent=2))
     else:
-        print(f"{arguments.file}: {summary['kind']}, {model.num_actions} actions")
+        seed = "" if summary["seed"] is None else f", reset with seed {summary['seed']}"
+        print(f"{arguments.file}: {summary['kind']}, {model.num_actions} actions{seed}")
         print_rows(_rows(summary))
         if arguments.out:
             print(f"wrote {arguments.out}")
@@ -65,6 +66,7 @@ def summarize(
     return {
         "kind": "deterministic" if model.is_deterministic else "stochastic",
         "estimate": model.estimate,
+        "seed": getattr(model, "seed", None),
         "states": model.num_states,
         "actions": model.num_actions,
         **{label.name.lower(): labelling.count(label) for label in sorted(Label)},

@@ -54,6 +54,12 @@ def add_source_arguments(parser: argparse.ArgumentParser) -> None:
         help="an argument of the environment, such as is_slippery=False; may be repeated",
     )
     parser.add_argument(
+        "--seed",
+        metavar="N",
+        type=parse_seed,
+        help="of the reset that draws a MiniGrid's layout (default: 0)",
+    )
+    parser.add_argument(
         "--constants",
         metavar="VALUES",
         action="append",
@@ -81,6 +87,7 @@ def read_source(arguments: argparse.Namespace) -> SafeMDP:
             arguments=dict(arguments.env_arg) if arguments.env_arg else None,
             constants=",".join(arguments.constants) if arguments.constants else None,
             normalise=arguments.normalise,
+            seed=arguments.seed,
         )
     for warning in caught:
         if issubclass(warning.category, NoFailureWarning):
@@ -148,6 +155,13 @@ def parse_states(text: str) -> list[int]:
             raise argparse.ArgumentTypeError(f"'{part}' are too many states to list")
         states += range(start, stop)
     return states
+
+
+def parse_seed(text: str) -> int:
+    """A seed for an environment's reset."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"'{text}' is not a seed such as 0, 1 or 2")
+    return int(text)
 
 
 def parse_argument(text: str) -> tuple[str, Any]:

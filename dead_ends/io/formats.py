@@ -35,6 +35,7 @@ class ModelOptions:
             :mod:`dead_ends.io.condition`.
         arguments: for making an environment.
         constants: values of a symbolic model's constants, such as "N=4,K=2".
+        seed: of an environment's reset that draws a layout, 0 if nothing is said.
         normalise: divide probabilities that miss 1 by their rounding, such as those of files with
             six digits, by their sum; see :meth:`dead_ends.SafeMDP.stochastic`.
     """
@@ -44,6 +45,7 @@ class ModelOptions:
     fail_if: Condition | None = None
     arguments: Mapping[str, Any] | None = None
     constants: str | None = None
+    seed: int | None = None
     normalise: bool = False
 
     def failure(self) -> Failure:
@@ -70,6 +72,7 @@ def load_model(
     fail_if: Condition | None = None,
     arguments: Mapping[str, Any] | None = None,
     constants: str | None = None,
+    seed: int | None = None,
     normalise: bool = False,
 ) -> SafeMDP:
     """The model in a file, or of a Gymnasium environment.
@@ -77,7 +80,7 @@ def load_model(
     Args:
         source: a path whose suffix says the format (of text formats also ``.tra.gz``, ...), an
             environment id such as "FrozenLake-v1", or an environment.
-        fail_label, fail_states, fail_if, arguments, constants, normalise: see
+        fail_label, fail_states, fail_if, arguments, constants, normalise, seed: see
             :class:`ModelOptions`.
 
     Raises:
@@ -89,7 +92,7 @@ def load_model(
         NoFailureWarning: if one of fail_label, fail_states and fail_if selects nothing, so that
             failure by it is impossible.
     """
-    options = ModelOptions(fail_label, fail_states, fail_if, arguments, constants, normalise)
+    options = ModelOptions(fail_label, fail_states, fail_if, arguments, constants, seed, normalise)
     if not isinstance(source, str | os.PathLike):
         return _load_environment(source, options)
     path = Path(source)
@@ -140,11 +143,18 @@ def _load_environment(environment: Any, options: ModelOptions) -> SafeMDP:
         from dead_ends.io.explore import explore_minigrid
 
         options.reject(name, "fail_states")
-        return explore_minigrid(env, fail_if=options.fail_if, progress=sys.stderr.isatty())
+        return explore_minigrid(
+            env,
+            fail_if=options.fail_if,
+            progress=sys.stderr.isatty(),
+            seed=options.seed or 0,
+        )
+    options.reject(name, "seed")
     return load_gymnasium(
-        env,
+        environment,
         fail_states=options.fail_states,
         fail_if=options.fail_if,
+        arguments=options.arguments,
         normalise=options.normalise,
     )
 
@@ -152,28 +162,30 @@ def _load_environment(environment: Any, options: ModelOptions) -> SafeMDP:
 def _load_npz(path: Path, options: ModelOptions) -> SafeMDP:
     from dead_ends.io.npz import load_npz
 
-    options.reject(str(path), "fail_label", "fail_states", "fail_if", "arguments", "constants")
+    options.reject(
+        str(path), "fail_label", "fail_states", "fail_if", "arguments", "constants", "seed"
+    )
     return load_npz(path, normalise=options.normalise)
 
 
 def _load_prism(path: Path, options: ModelOptions) -> SafeMDP:
     from dead_ends.io.prism import load_prism
 
-    options.reject(str(path), "arguments", "constants")
+    options.reject(str(path), "arguments", "constants", "seed")
     return load_prism(path, options.failure(), normalise=options.normalise)
 
 
 def _load_drn(path: Path, options: ModelOptions) -> SafeMDP:
     from dead_ends.io.drn import load_drn
 
-    options.reject(str(path), "arguments", "constants")
+    options.reject(str(path), "arguments", "constants", "seed")
     return load_drn(path, options.failure(), normalise=options.normalise)
 
 
 def _load_with_storm(path: Path, options: ModelOptions) -> SafeMDP:
     from dead_ends.io.stormpy_models import load_with_storm
 
-    options.reject(str(path), "arguments")
+    options.reject(str(path), "arguments", "seed")
     return load_with_storm(
         path, options.failure(), options.constants or "", normalise=options.normalise
     )

@@ -37,6 +37,7 @@ class Transitions:
             s' add up.
         fail, terminal: bool (S,).
         num_actions: A.
+        first_action: how conditions count: their ``a`` is ``action + first_action``.
         reward: (N,) or None.
         done: bool (N,), whether the episode ends with the transition; None: never.
         initial: float (S,) or None.
@@ -50,6 +51,7 @@ class Transitions:
     fail: NDArray[np.bool_]
     terminal: NDArray[np.bool_]
     num_actions: int
+    first_action: int = 0
     reward: NDArray[np.float64] | None = None
     done: NDArray[np.bool_] | None = None
     initial: NDArray[np.float64] | None = None
@@ -129,7 +131,8 @@ def state_mask(states: ArrayLike, num_states: int) -> NDArray[np.bool_]:
 
 def violations(transitions: Transitions, condition: Condition) -> NDArray[np.bool_]:
     """bool (N,): which transitions satisfy the condition."""
-    source, action, target = transitions.source, transitions.action, transitions.target
+    source, target = transitions.source, transitions.target
+    action = transitions.action + transitions.first_action
     reward = transitions.reward
     if isinstance(condition, str):
         columns: dict[str, NDArray[Any]] = {"s": source, "a": action, "s2": target}
