@@ -208,7 +208,7 @@ class _Bellman:
     @property
     def terms(self) -> int:
         """Roundings in one entry of a sweep: the longest row's, and those around it."""
-        return int(np.diff(self.kernel.indptr).max(initial=0)) + 4
+        return int(np.diff(self.kernel.indptr).max()) + 4
 
     def rounding(self, values: NDArray[np.float64]) -> float:
         """A bound on the rounding error of one sweep from ``values``."""

@@ -166,6 +166,30 @@ def test_behavior_correction_names_what_is_wrong() -> None:
         behavior_correction(np.array([0]), Q, 0.5, np.array([0, 0]))
 
 
+def test_shares_too_need_a_recovery_that_is_available() -> None:
+    """A tiny share is enough; where nothing is blocked, or nothing can be done, it is not asked."""
+    Q = np.array([[0.0, 0.7, INF], [0.2, 0.3, 0.4], [INF, INF, INF]])
+    tiny = np.array([[1 - 1e-12, 1e-12, 0.0], [0.5, 0.25, 0.25], [0.0, 0.0, 1.0]])
+    single = np.array([2, 1, 0])
+    half = np.array([[0.5, 0.0, 0.5], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    refused = r"^recovery: state 0, action 2 is not available there \(Q = \+inf\)$"
+    for task, recovery in ((tiny, single), (tiny, half), (np.array([1, 0, 0]), half)):
+        with pytest.raises(ValueError, match=refused):
+            behavior_correction(task, Q, 0.5, recovery)
+    for task, recovery in ((np.eye(3), single), (np.eye(3), half), (np.array([0, 1, 2]), half)):
+        executed = behavior_correction(task, Q, 0.5, recovery)
+        assert executed[:2].tolist() == np.eye(3)[:2].tolist()
+
+
+def test_the_first_state_without_its_recovery_is_named() -> None:
+    Q = np.array([[0.0, INF, INF], [0.9, INF, 0.8], [0.9, 0.8, INF], [0.9, 0.8, INF]])
+    for task in (np.zeros(4, dtype=np.int64), np.eye(3)[[0, 0, 0, 0]]):
+        with pytest.raises(ValueError, match=r"^recovery: state 1, action 1 is not available"):
+            behavior_correction(task, Q, 0.5, np.array([1, 1, 2, 2]))
+        with pytest.raises(ValueError, match=r"^recovery: state 2, action 2 is not available"):
+            behavior_correction(task, Q, 0.5, np.array([1, 2, 2, 2]))
+
+
 @untimed
 @given(st.data())
 def test_integer_and_stochastic_forms_agree(data: st.DataObject) -> None:
@@ -285,6 +309,31 @@ def test_corrected_model_names_what_is_wrong() -> None:
         match=r"^state 0: the recovery policy takes action 1, which is not available there$",
     ):
         corrected_model(partial, np.zeros((2, 2)), 0.0, np.array([1, 0]))
+
+
+def test_the_recovery_is_only_needed_where_something_is_proposed_and_blocked() -> None:
+    """State 0 blocks nothing, 1 is a goal, 2 fails, 3 blocks: its recovery alone must exist."""
+    table = np.array([[0, -1], [1, 1], [2, 2], [-1, 2], [-1, 2]])
+    model = SafeMDP.deterministic(
+        table, np.arange(5) == 2, terminal=np.arange(5) == 1, action_names=["x", "y"]
+    )
+    Q = np.array([[0.0, INF], [0.9, 0.9], [INF, INF], [INF, 1.0], [INF, 1.0]])
+    corrected = corrected_model(model, Q, 0.5, np.array([1, 0, 0, 1, 1]))
+    assert corrected.successors().tolist() == model.successors().tolist()
+    with pytest.raises(ValueError, match=r"^state 3: the recovery policy takes action 0 \(x\),"):
+        corrected_model(model, Q, 0.5, np.array([1, 0, 0, 0, 0]))
+    with pytest.raises(ValueError, match=r"^state 4: the recovery policy takes action 0 \(x\),"):
+        corrected_model(model, Q, 0.5, np.array([1, 0, 0, 1, 0]))
+
+
+def test_a_recovery_action_that_does_not_exist_is_named_with_its_first_state() -> None:
+    model = rrl_counterexample()
+    for wrong, action in (([0, 0, -1, 2, 0], -1), ([0, 0, 2, -1, 5], 2)):
+        with pytest.raises(ValueError, match=rf"^recovery: state 2 \(d2\): action {action} is not"):
+            corrected_model(model, np.zeros((5, 2)), 0.5, np.array(wrong))
+    for shape in (np.zeros(4, dtype=int), np.zeros((5, 1), dtype=int), np.zeros(5)):
+        with pytest.raises(ValueError, match=r"^recovery must be integers of shape \(5,\), not "):
+            corrected_model(model, np.zeros((5, 2)), 0.5, shape)
 
 
 # Theorem 2 and its limits
