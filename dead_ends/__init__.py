@@ -24,7 +24,7 @@ _NAMES = {
     "certificate": ("certify", "load_certificate", "save_certificate"),
     "checker": ("check_certificate",),
     "conventions": ("CriticConvention", "ValueConvention"),
-    "correction": ("behavior_correction", "corrected_model"),
+    "correction": ("behavior_correction", "corrected_model", "safety_filter"),
     "envs.tabular_correction": ("TabularCorrection",),
     "estimation": (
         "Unseen",
@@ -81,6 +81,7 @@ if TYPE_CHECKING:
     from dead_ends.conventions import ValueConvention as ValueConvention
     from dead_ends.correction import behavior_correction as behavior_correction
     from dead_ends.correction import corrected_model as corrected_model
+    from dead_ends.correction import safety_filter as safety_filter
     from dead_ends.envs.tabular_correction import TabularCorrection as TabularCorrection
     from dead_ends.estimation import Unseen as Unseen
     from dead_ends.estimation import estimate_model as estimate_model

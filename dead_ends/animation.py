@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from dead_ends.cells import COLORS, LINES, coordinates, draw_labels, extent_cells, geometry_of
-from dead_ends.model import Geometry, SafeMDP
+from dead_ends.model import Geometry, SafeMDP, require_type
 from dead_ends.results import INFINITE, Label, Labelling
 
 __all__ = ["Run", "animate_runs"]
@@ -42,6 +42,8 @@ def animate_runs(
     Raises:
         ValueError: if the model has no geometry, or two states share a cell.
     """
+    require_type(model, SafeMDP, "animate_runs")
+    require_type(labelling, Labelling, "animate_runs")
     figure, artists = _animation_figure(model, labelling, runs, title)
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()

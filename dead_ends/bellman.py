@@ -38,7 +38,7 @@ from scipy import sparse
 from dead_ends.conventions import CriticConvention, ValueConvention
 from dead_ends.critic import Known, Settings, from_equations, from_operator, from_times
 from dead_ends.discount import Discount
-from dead_ends.model import SafeMDP
+from dead_ends.model import SafeMDP, require_type
 from dead_ends.operators import Optimum, unknown_rows
 from dead_ends.policy_input import (
     as_distribution,
@@ -84,6 +84,7 @@ def value_iteration(
         ValueError: for a discount outside (0, 1]; in exact calculations for a row that does
             not sum to exactly 1; if the tolerance is not reached.
     """
+    require_type(model, SafeMDP, "value_iteration")
     settings = Settings.read(gamma_safe, value, critic, exact, tolerance, max_iterations)
     if model.is_deterministic:
         return from_times(model, survival_times(model), settings)
@@ -122,6 +123,7 @@ def evaluate_policy(
         ValueError: as :func:`value_iteration`, and for a policy that is none of this model
             (see :func:`dead_ends.policy_input.check_policy`).
     """
+    require_type(model, SafeMDP, "evaluate_policy")
     settings = Settings.read(gamma_safe, value, critic, exact, tolerance, max_iterations)
     checked = check_policy(model, policy)
     actions = single_actions(model, checked)

@@ -27,7 +27,7 @@ from dead_ends.io.atomic import atomic_path
 from dead_ends.io.errors import located
 from dead_ends.io.npz import read_arrays
 from dead_ends.labels import classify, safe_actions
-from dead_ends.model import SafeMDP
+from dead_ends.model import SafeMDP, require_type
 from dead_ends.results import Labelling
 
 __all__ = ["certify", "find_witnesses", "load_certificate", "save_certificate"]
@@ -47,6 +47,9 @@ def certify(model: SafeMDP, labelling: Labelling | None = None) -> Certificate:
     Raises:
         ValueError: if the model is an estimate: its labels are not those of the task.
     """
+    require_type(model, SafeMDP, "certify")
+    if labelling is not None:
+        require_type(labelling, Labelling, "certify")
     model.refuse_estimate("a certificate")
     return find_witnesses(model, classify(model) if labelling is None else labelling)
 
@@ -76,6 +79,7 @@ def save_certificate(path: str | os.PathLike[str], certificate: Certificate) -> 
         ValueError: if the suffix is another one or the folder does not exist.
         OSError: if the file cannot be written; then nothing is left behind.
     """
+    require_type(certificate, Certificate, "save_certificate")
     head = {"format": FORMAT, "version": VERSION, "digest": certificate.digest}
     columns = {name: getattr(certificate, name) for name in COLUMNS}
     suffix = Path(path).suffix.lower()

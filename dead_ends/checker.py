@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dead_ends.model import SafeMDP
+from dead_ends.model import SafeMDP, require_type
 
 __all__ = ["Certificate", "CertificateError", "check_certificate", "model_digest"]
 
@@ -83,6 +83,8 @@ def check_certificate(model: SafeMDP, certificate: Certificate) -> None:
     Raises:
         CertificateError: naming the first state whose condition does not hold.
     """
+    require_type(model, SafeMDP, "check_certificate")
+    require_type(certificate, Certificate, "check_certificate")
     for name in ("labels", "rank", "escape", "action"):
         array = getattr(certificate, name)
         if array.shape != (model.num_states,) or array.dtype.kind not in "iu":

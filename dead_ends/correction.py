@@ -11,12 +11,14 @@ proposes a in s moves as the executed action does,
 and earns r(s, executed action). Everything in this package applies to it again.
 
 With Q = Q*, rec greedy on Q* and 0 < epsilon_safe <= gamma_safe**H_b, no agent leaves S_safe
-in a deterministic corrected model (Theorem 2; H_b is the boundary horizon). With the critic
+in a deterministic corrected model (Theorem 2; H_b is the boundary horizon). As a table, for a
+runtime, that filter is :func:`safety_filter`. With the critic
 of a task policy, Q^pi_task, and recovery greedy on it (RRL), it may: see tests.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
@@ -24,7 +26,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dead_ends.model import SafeMDP
+from dead_ends.bellman import value_iteration
+from dead_ends.io.environment_model import EnvironmentModel, key_text
+from dead_ends.io.filter_table import FilterTable
+from dead_ends.labels import safe_actions
+from dead_ends.model import SafeMDP, require_type
+from dead_ends.model_input import plain_array
 from dead_ends.policies import (
     Critic,
     allowed_actions,
@@ -34,7 +41,7 @@ from dead_ends.policies import (
 )
 from dead_ends.policy_input import as_distribution
 
-__all__ = ["behavior_correction", "corrected_model"]
+__all__ = ["behavior_correction", "corrected_model", "safety_filter"]
 
 
 def behavior_correction(
@@ -100,6 +107,7 @@ def corrected_model(
         ValueError: as :func:`dead_ends.allowed_actions`; if shapes do not fit; if the
             recovery policy is needed in a state where its action is not available.
     """
+    require_type(model, SafeMDP, "corrected_model")
     allowed = allowed_actions(Q, epsilon_safe)
     if allowed.shape != (model.num_states, model.num_actions):
         raise ValueError(
@@ -124,6 +132,43 @@ def corrected_model(
     return replace(model, kernel=kernel, exact=exact, rewards=rewards)
 
 
+def safety_filter(
+    model: SafeMDP,
+    Q: Critic | None = None,
+    epsilon_safe: float | Fraction | None = None,
+    metadata: Mapping[str, Any] | None = None,
+) -> FilterTable:
+    """The filter of a model: the actions that pass, and what is executed instead of the others.
+
+    Args:
+        model: the model.
+        Q: the safety critic (S, A); None takes ``value_iteration(model)``.
+        epsilon_safe: actions with Q(s, a) < epsilon_safe pass; None: exactly the actions that
+            keep a safe state safe, decided from the graph.
+        metadata: JSON values that say how the table is made.
+
+    Returns:
+        The table, with the model's names and, for the model of an environment, keys and seed.
+        Its recovery policy takes an action that keeps the state safe where there is one, and is
+        greedy on Q elsewhere.
+
+    Raises:
+        ValueError: as :func:`dead_ends.allowed_actions` and :func:`dead_ends.value_iteration`.
+    """
+    critic = value_iteration(model) if Q is None else Q
+    stays = safe_actions(model)
+    allowed = stays if epsilon_safe is None else allowed_actions(critic, epsilon_safe)
+    recovery = np.where(stays.any(axis=1), stays.argmax(axis=1), recovery_policy(critic))
+    description = ({"estimate": True} if model.estimate else {}) | dict(metadata or {})
+    keys = None
+    if isinstance(model, EnvironmentModel):
+        keys = tuple(key_text(key) for key in model.keys)
+        origin = {"seed": model.seed, "table": model.table}
+        description |= {name: value for name, value in origin.items() if value is not None}
+    names = (model.state_names, model.action_names)
+    return FilterTable(allowed, recovery, description, *names, keys)
+
+
 def _corrected(
     model: SafeMDP, allowed: NDArray[np.bool_], rec: NDArray[np.integer[Any]]
 ) -> NDArray[np.bool_]:
@@ -145,7 +190,7 @@ def _corrected(
 
 
 def _recovery_indices(recovery: ArrayLike, model: SafeMDP) -> NDArray[np.integer[Any]]:
-    rec = np.asarray(recovery)
+    rec = plain_array("recovery", recovery)
     if rec.shape != (model.num_states,) or not np.issubdtype(rec.dtype, np.integer):
         raise ValueError(
             f"recovery must be integers of shape ({model.num_states},), "

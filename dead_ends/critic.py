@@ -235,11 +235,11 @@ def _discounted(
 
 
 def _critic(model: SafeMDP, w: Bounds) -> Bounds:
-    """Q(s, a) = sum_s' P(s'|s, a) w(s')."""
+    """Q(s, a) = sum_s' P(s'|s, a) w(s'), at most 1 also where rows sum to slightly more."""
     lower, estimate, upper = w
     kernel = RoundedKernel.build(model.transitions(), upper == 0, lower == 1)
     shape = (model.num_states, model.num_actions)
-    low = kernel.lower(lower).reshape(shape)
+    low = np.minimum(kernel.lower(lower), 1.0).reshape(shape)
     high = np.minimum(kernel.upper(upper), 1.0).reshape(shape)
     middle = np.clip(kernel.sums(estimate).reshape(shape), low, high)
     for table in (low, middle, high):

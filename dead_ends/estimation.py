@@ -33,6 +33,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dead_ends.model import SafeMDP
+from dead_ends.model_input import plain_array
 
 __all__ = ["Unseen", "estimate_model"]
 
@@ -176,7 +177,7 @@ def _guess(unseen: Unseen, fail: NDArray[np.bool_], guessed: NDArray[np.bool_]) 
 
 
 def _checked_rows(transitions: ArrayLike, num_states: int, num_actions: int) -> Integers:
-    rows = np.asarray(transitions)
+    rows = plain_array("transitions", transitions)
     if rows.size == 0:
         return np.zeros((0, 3), dtype=np.int64)
     if rows.ndim != 2 or rows.shape[1] != 3 or not np.issubdtype(rows.dtype, np.integer):
@@ -196,7 +197,7 @@ def _checked_rows(transitions: ArrayLike, num_states: int, num_actions: int) -> 
 
 
 def _checked_mask(what: str, mask: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    array = np.asarray(mask)
+    array = plain_array(what, mask)
     if array.dtype != np.bool_ or array.shape != shape:
         raise ValueError(
             f"{what} must be a boolean mask of shape {shape}, not {array.dtype} of "
@@ -252,7 +253,7 @@ def _mean_rewards(
     """The mean reward of each pair; the lowest or highest of all where nothing was tried."""
     if rewards is None:
         return None
-    earned = np.asarray(rewards, dtype=np.float64)
+    earned = np.asarray(plain_array("rewards", rewards), dtype=np.float64)
     if earned.shape != (len(rows),):
         raise ValueError(f"rewards must have shape ({len(rows)},), not {earned.shape}")
     bad = np.flatnonzero(~np.isfinite(earned))

@@ -41,7 +41,7 @@ from dead_ends.bellman import (
 from dead_ends.conventions import CriticConvention, ValueConvention
 from dead_ends.critic import Known, Settings, from_equations, from_operator, from_times
 from dead_ends.discount import Discount
-from dead_ends.model import SafeMDP
+from dead_ends.model import SafeMDP, require_type
 from dead_ends.operators import unknown_rows
 from dead_ends.policy_input import (
     as_distribution,
@@ -81,6 +81,7 @@ def expectile_iteration(
     Raises:
         ValueError: as :func:`dead_ends.evaluate_policy`, and for an expectile outside [0, 1).
     """
+    require_type(model, SafeMDP, "expectile_iteration")
     if not 0 <= expectile < 1:
         raise ValueError(f"expectile must lie in [0, 1), not {expectile}")
     settings = Settings.read(

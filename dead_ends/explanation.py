@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from dead_ends.bellman import value_iteration
 from dead_ends.labels import classify, safe_actions
-from dead_ends.model import SafeMDP
+from dead_ends.model import SafeMDP, require_type
 from dead_ends.policies import recovery_policy
 from dead_ends.results import INFINITE, Label, Labelling
 
@@ -102,6 +102,9 @@ def explain(
         ValueError: if there is no such state, if the name belongs to several, or if floats do
             not tell P_min.
     """
+    require_type(model, SafeMDP, "explain")
+    if labelling is not None:
+        require_type(labelling, Labelling, "explain")
     index = state_index(model, state)
     if labelling is None:
         labelling = classify(model)

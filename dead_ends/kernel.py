@@ -8,43 +8,61 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from decimal import Decimal
 from fractions import Fraction
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from dead_ends.model_input import ROW_SUM_TOLERANCE
+from dead_ends.model_input import (
+    MAX_BITS,
+    ROW_SUM_TOLERANCE,
+    ExactEntries,
+    mend_rows,
+    not_one,
+    read_fraction,
+    shown,
+)
 
-Csr = sparse.csr_array[np.float64]
+Csr: TypeAlias = "sparse.csr_array[np.float64]"
 NamePair = Callable[[int, int], str]
 
 
 def build_kernel(
-    P: Any, available: NDArray[np.bool_], terminal: NDArray[np.bool_], name: NamePair
-) -> tuple[Csr, tuple[Fraction, ...] | None]:
-    """The checked kernel of ``P`` and, if P holds Fractions, its exact data.
+    P: Any,
+    available: NDArray[np.bool_],
+    terminal: NDArray[np.bool_],
+    name: NamePair,
+    normalise: bool = False,
+) -> tuple[Csr, tuple[Fraction, ...] | None, int]:
+    """The checked kernel of ``P``, its exact data if P holds Fractions, and the rows mended.
 
     Rows of unavailable actions (and so of fail states) are emptied, those of terminal
     states replaced by self-loops, stored zeros dropped.
     """
     num_states, num_actions = available.shape
+    if isinstance(P, ExactEntries):
+        return _build_exact(P, available, terminal, name, normalise)
     if not sparse.issparse(P):
-        P = np.asarray(P)
         if P.dtype == object:
-            return _build_exact(P, available, terminal, name)
+            entries = _listed(P, available)
+            return _build_exact(entries, available, terminal, name, normalise)
         _check_kind(P.dtype)
-        P = sparse.csr_array(P.reshape(num_states * num_actions, num_states))
+        P = P.astype(np.float64, copy=False).reshape(num_states * num_actions, num_states)
     _check_kind(P.dtype)
     kernel = sparse.csr_array(P, dtype=np.float64, copy=True)
     _check_indices(kernel, num_actions, name)
     kernel.sum_duplicates()
     kernel = _normalise(kernel, available, terminal)
     _check_probabilities(kernel, num_actions, name)
+    mended = 0
+    if normalise:
+        kernel.data, mended = mend_rows(_rows_of(kernel), kernel.data)
     _check_sums(kernel, available, name)
-    return _freeze(kernel), None
+    return _freeze(kernel), None, mended
 
 
 def table_kernel(successors: NDArray[np.int32]) -> Csr:
@@ -58,16 +76,16 @@ def table_kernel(successors: NDArray[np.int32]) -> Csr:
     return _freeze(sparse.csr_array((data, indices, indptr), shape=shape))
 
 
-def exact_data(kernel: Csr, name: NamePair) -> tuple[Fraction, ...]:
+def exact_data(kernel: Csr, name: NamePair, normalise: bool = False) -> tuple[Fraction, ...]:
     """Each stored float as its shortest decimal; every non-empty row sums to exactly 1."""
     data = tuple(Fraction(repr(float(p))) for p in kernel.data)
+    if normalise:
+        data = tuple(mend_rows(_rows_of(kernel), np.array(data, dtype=object))[0])
     num_actions = kernel.shape[0] // kernel.shape[1]
     try:
         _check_exact_sums(data, kernel.indptr, num_actions, name)
     except ValueError as error:
-        raise ValueError(
-            f"{error}: exactly, a float is its shortest decimal; give the model in fractions"
-        ) from None
+        raise ValueError(f"{error} (exactly, a float is its shortest decimal)") from None
     return data
 
 
@@ -82,51 +100,91 @@ def select_rows(
     return selected, tuple(p for start, stop in spans for p in exact[start:stop])
 
 
+def _listed(P: NDArray[np.object_], available: NDArray[np.bool_]) -> ExactEntries:
+    """What a dense array (S, A, S) of objects holds in the rows of available actions."""
+    num_states, num_actions = available.shape
+    rows = np.flatnonzero(available)
+    dense = P.reshape(num_states * num_actions, num_states)[rows]
+    try:
+        place, column = np.nonzero(np.asarray(dense != 0, dtype=np.bool_))
+    except ValueError:
+        raise ValueError("P holds objects that are no numbers") from None
+    return ExactEntries(
+        row=rows[place],
+        column=column,
+        value=dense[place, column],
+        shape=(num_states * num_actions, num_states),
+    )
+
+
 def _build_exact(
-    P: NDArray[np.object_],
+    entries: ExactEntries,
     available: NDArray[np.bool_],
     terminal: NDArray[np.bool_],
     name: NamePair,
-) -> tuple[Csr, tuple[Fraction, ...]]:
-    """A dense array of Fractions: nothing is rounded before the checks."""
-    num_states, num_actions = available.shape
-    indptr, indices, data = [0], [], []
-    for state in range(num_states):
-        for action in range(num_actions):
-            if terminal[state]:
-                indices.append(state)
-                data.append(Fraction(1))
-            elif available[state, action]:
-                for successor, p in enumerate(P[state, action]):
-                    p = _fraction(p, state, action, name)
-                    if p:
-                        indices.append(successor)
-                        data.append(p)
-            indptr.append(len(indices))
-    exact = tuple(data)
-    kernel = sparse.csr_array(
-        (
-            # What is possible stays so: no Fraction is rounded to 0.
-            np.array([max(float(p), math.ulp(0.0)) for p in exact]),
-            np.array(indices, dtype=np.int32),
-            np.array(indptr),
-        ),
-        shape=(num_states * num_actions, num_states),
-    )
-    empty = np.diff(kernel.indptr) == 0
-    _raise_first(empty & available.ravel(), num_actions, name, "probabilities sum to 0, not 1")
-    _check_exact_sums(exact, kernel.indptr, num_actions, name)
-    return _freeze(kernel), exact
+    normalise: bool,
+) -> tuple[Csr, tuple[Fraction, ...], int]:
+    """Fractions: nothing is rounded before the checks."""
+    num_actions = available.shape[1]
+    ends = np.repeat(terminal, num_actions)
+    total: dict[tuple[int, int], Fraction] = {
+        (row, row // num_actions): Fraction(1) for row in np.flatnonzero(ends).tolist()
+    }
+    kept = (available.ravel() & ~ends)[entries.row]
+    columns = (entries.row[kept].tolist(), entries.column[kept].tolist(), entries.value[kept])
+    for row, column, p in zip(*columns, strict=True):
+        try:
+            value = _fraction(p)
+        except ValueError as error:
+            raise ValueError(f"{name(*divmod(row, num_actions))}: {error}") from None
+        if value:
+            place = row, column
+            total[place] = total[place] + value if place in total else value
+    places = sorted(total)
+    rows = np.array([row for row, _ in places], dtype=np.int64)
+    values = np.array([total[place] for place in places], dtype=object)
+    values, mended = mend_rows(rows, values) if normalise else (values, 0)
+    exact = tuple(values)
+    counts = np.bincount(rows, minlength=available.size)
+    empty = (counts == 0) & available.ravel()
+    _raise_first(empty, num_actions, name, "probabilities sum to 0, not 1")
+    indptr = np.concatenate(([0], np.cumsum(counts)))
+    _check_exact_sums(exact, indptr, num_actions, name)
+    # What is possible stays so: no Fraction is rounded to 0.
+    data = np.array([max(float(p), math.ulp(0.0)) for p in exact])
+    indices = np.array([column for _, column in places], dtype=np.int32)
+    return _freeze(sparse.csr_array((data, indices, indptr), shape=entries.shape)), exact, mended
 
 
-def _fraction(p: Any, state: int, action: int, name: NamePair) -> Fraction:
+def _fraction(p: Any) -> Fraction:
     try:
-        value = Fraction(repr(float(p))) if isinstance(p, float) else Fraction(p)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name(state, action)}: {p!r} is not a probability") from None
+        value = _exactly(p)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{str(p)[:80]!r} is not a probability") from None
     if value < 0:
-        raise ValueError(f"{name(state, action)}: negative probability {value}")
+        raise ValueError(f"negative probability {shown(value)}")
+    if max(value.numerator.bit_length(), value.denominator.bit_length()) > MAX_BITS:
+        raise ValueError(f"a probability with more than {MAX_BITS:,} bits")
     return value
+
+
+def _exactly(p: Any) -> Fraction:
+    """A number as a Fraction of Python's integers, which never overflow; a float as a decimal."""
+    if type(p) is int:
+        return Fraction(p)
+    if isinstance(p, float | np.floating):
+        return Fraction(repr(float(p)))
+    if isinstance(p, str | Decimal):
+        return read_fraction(str(p))
+    value = Fraction(p)
+    if type(value.numerator) is int and type(value.denominator) is int:
+        return value
+    return Fraction(int(value.numerator), int(value.denominator))
+
+
+def _rows_of(kernel: Csr) -> NDArray[np.int64]:
+    """(N,) the row of each stored entry."""
+    return np.repeat(np.arange(kernel.shape[0]), np.diff(kernel.indptr))
 
 
 def _check_kind(dtype: np.dtype[Any]) -> None:
@@ -184,10 +242,8 @@ def _check_sums(kernel: Csr, available: NDArray[np.bool_], name: NamePair) -> No
     if bad.any():
         row = int(np.flatnonzero(bad)[0])
         hint = "" if sums[row] else "; mark the action in `available` if it cannot be taken"
-        raise ValueError(
-            f"{name(*divmod(row, available.shape[1]))}: "
-            f"probabilities sum to {sums[row]:.12g}, not 1{hint}"
-        )
+        what = not_one(sums[row], int(np.diff(kernel.indptr)[row]))
+        raise ValueError(f"{name(*divmod(row, available.shape[1]))}: {what}{hint}")
 
 
 def _check_exact_sums(
@@ -196,9 +252,7 @@ def _check_exact_sums(
     for row, (start, stop) in enumerate(pairwise(indptr)):
         total = sum(data[start:stop], Fraction(0))
         if stop > start and total != 1:
-            raise ValueError(
-                f"{name(*divmod(row, num_actions))}: probabilities sum to {total}, not exactly 1"
-            )
+            raise ValueError(f"{name(*divmod(row, num_actions))}: {not_one(total, stop - start)}")
 
 
 def _raise_first(bad: NDArray[np.bool_], num_actions: int, name: NamePair, what: str) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dead_ends.memory import require_memory
-from dead_ends.model import SafeMDP
+from dead_ends.model import SafeMDP, require_type
 from dead_ends.results import INFINITE, Label, Labelling
 
 __all__ = ["INFINITE", "Label", "classify", "safe_actions"]
@@ -38,6 +38,7 @@ def classify(model: SafeMDP) -> Labelling:
         MemoryError: if the model is so large that the work does not fit the memory, before
             it starts.
     """
+    require_type(model, SafeMDP, "classify")
     from dead_ends.retrograde import labels_of, survival_times
 
     require_memory(_bytes_needed(model), f"labelling {model.num_states:,} states")
@@ -67,6 +68,9 @@ def safe_actions(model: SafeMDP, labelling: Labelling | None = None) -> NDArray[
     Raises:
         ValueError: if the labelling has another number of states.
     """
+    require_type(model, SafeMDP, "safe_actions")
+    if labelling is not None:
+        require_type(labelling, Labelling, "safe_actions")
     from dead_ends.retrograde import safe_choices
 
     if labelling is None:

@@ -15,6 +15,8 @@ A large graph that is neither has no quick solution.
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -24,7 +26,7 @@ from dead_ends.rounding import Csr, Float, product
 
 __all__ = ["LinearSolver"]
 
-Csc = sparse.csc_array[np.float64]
+Csc: TypeAlias = "sparse.csc_array[np.float64]"
 Order = NDArray[np.intp]
 
 SMALL = 2000

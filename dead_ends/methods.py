@@ -27,7 +27,8 @@ from numpy.typing import ArrayLike, NDArray
 from dead_ends.bellman import evaluate_policy, value_iteration
 from dead_ends.expectile import expectile_iteration
 from dead_ends.labels import classify, safe_actions
-from dead_ends.model import SafeMDP
+from dead_ends.model import SafeMDP, require_type
+from dead_ends.model_input import plain_array
 from dead_ends.policies import Critic, allowed_actions, recovery_policy
 from dead_ends.results import Values
 
@@ -108,6 +109,7 @@ def rrl(model: SafeMDP, task_policy: ArrayLike, gamma_safe: float | Fraction = 0
     Raises:
         ValueError: as :func:`dead_ends.evaluate_policy`.
     """
+    require_type(model, SafeMDP, "rrl")
     return _method("RRL", evaluate_policy(model, task_policy, gamma_safe))
 
 
@@ -117,6 +119,7 @@ def rrl_msdp(model: SafeMDP, gamma_safe: float | Fraction = 0.99) -> Method:
     Raises:
         ValueError: as :func:`dead_ends.value_iteration`.
     """
+    require_type(model, SafeMDP, "rrl_msdp")
     return _method("RRL (MSDP)", value_iteration(model, gamma_safe))
 
 
@@ -141,12 +144,13 @@ def dea_rrl(
     Raises:
         ValueError: as :func:`dead_ends.evaluate_policy`; if gamma_safe is 1.
     """
+    require_type(model, SafeMDP, "dea_rrl")
     if gamma_safe == 1:
         raise ValueError(
             "dea_rrl: at gamma_safe = 1 evaluating and improving in turn can stall; "
             "value_iteration solves that case"
         )
-    policy = model.available.argmax(axis=1) if start is None else np.asarray(start)
+    policy = model.available.argmax(axis=1) if start is None else plain_array("start", start)
     while True:
         critic = evaluate_policy(model, policy, gamma_safe)
         improved = _improve(critic, policy)
@@ -172,6 +176,7 @@ def dea_rrl_expectile(
     Raises:
         ValueError: as :func:`dead_ends.expectile_iteration`.
     """
+    require_type(model, SafeMDP, "dea_rrl_expectile")
     critic = expectile_iteration(model, data_policy, expectile, gamma_safe)
     return _method(f"DEA-RRL (expectile {expectile})", critic)
 
@@ -187,6 +192,7 @@ def conservatism(model: SafeMDP, Q: Critic, epsilon_safe: float | Fraction) -> C
     Raises:
         ValueError: as :func:`dead_ends.allowed_actions`; if the shapes do not fit.
     """
+    require_type(model, SafeMDP, "conservatism")
     allowed = allowed_actions(Q, epsilon_safe)
     if allowed.shape != (model.num_states, model.num_actions):
         raise ValueError(

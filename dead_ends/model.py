@@ -30,19 +30,23 @@ from dead_ends.model_input import (
     MAX_STATES,
     Names,
     available_mask,
+    available_rows,
     check_successors,
     count_actions,
     end_masks,
     initial_distribution,
     named,
+    plain_array,
     read_only,
     reward_table,
+    successor_table,
+    transition_array,
 )
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["Geometry", "SafeMDP"]
+__all__ = ["Geometry", "SafeMDP", "require_type"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +101,8 @@ class SafeMDP:
         estimate: whether the probabilities are estimates, as of a model from a log
             (:func:`dead_ends.estimate_model`). What follows from an estimate is no guarantee
             about the task: what would promise one refuses it.
+        normalised: how many rows (and the initial distribution) were divided by their sums;
+            None if that was not asked for.
     """
 
     next_state: NDArray[np.int32] | None
@@ -111,6 +117,7 @@ class SafeMDP:
     action_names: tuple[str, ...] | None = None
     geometry: Geometry | None = None
     estimate: bool = False
+    normalised: int | None = None
     _available: NDArray[np.bool_] | None = field(default=None)
 
     @classmethod
@@ -125,30 +132,26 @@ class SafeMDP:
         state_names: Sequence[str] | None = None,
         action_names: Sequence[str] | None = None,
         geometry: Geometry | None = None,
+        normalise: bool = False,
     ) -> SafeMDP:
         """A deterministic safe MDP from its successor table.
 
         Args:
-            next_state: integers (S, A); -1 where an action is not available. A C-ordered
-                int32 array is adopted without a copy and marked read-only; any other is
-                copied once.
+            next_state: integers (S, A); -1, or masked, where an action is not available. A
+                C-ordered int32 array is adopted without a copy and marked read-only; any
+                other is copied once.
             fail: bool (S,). Rows of fail states are ignored: the episode has ended.
             terminal: bool (S,), goals: safe and absorbing, their rows are ignored.
             rewards: finite float (S, A), for :func:`dead_ends.plan`.
             initial: the first state: indices, a bool mask (S,), or a distribution (S,).
             state_names, action_names: S and A names.
             geometry: where states are drawn.
+            normalise: divide a distribution ``initial`` by its sum, as for :meth:`stochastic`.
 
         Raises:
             ValueError: naming the state and action at fault.
         """
-        table = np.asarray(next_state)
-        if table.ndim != 2 or table.shape[1] == 0:
-            raise ValueError(
-                f"next_state must have shape (S, A) with at least one action, not {table.shape}"
-            )
-        if not np.issubdtype(table.dtype, np.integer):
-            raise ValueError(f"next_state must hold integers, not {table.dtype}")
+        table = successor_table(next_state, fail)
         num_states, num_actions = table.shape
         fail_mask, terminal_mask = end_masks(fail, terminal, num_states)
         names = Names(state_names, action_names, num_states, num_actions)
@@ -158,6 +161,7 @@ class SafeMDP:
         else:
             # Rows of fail and terminal states are not checked: they may not fit int32.
             adopted = np.clip(table, -1, MAX_STATES).astype(np.int32, order="C")
+        first, mended = initial_distribution(initial, num_states, normalise)
         return cls(
             kernel=None,
             exact=None,
@@ -165,10 +169,11 @@ class SafeMDP:
             terminal=terminal_mask,
             num_actions=num_actions,
             rewards=reward_table(rewards, num_states, num_actions, names),
-            initial=initial_distribution(initial, num_states),
+            initial=first,
             state_names=names.states,
             action_names=names.actions,
             geometry=_geometry(geometry, num_states, num_actions),
+            normalised=mended if normalise else None,
             # Marked last: where something is refused, the caller's array stays as it was.
             next_state=read_only(adopted),
         )
@@ -186,18 +191,24 @@ class SafeMDP:
         state_names: Sequence[str] | None = None,
         action_names: Sequence[str] | None = None,
         geometry: Geometry | None = None,
+        normalise: bool = False,
     ) -> SafeMDP:
         """A stochastic safe MDP from its transition probabilities.
 
         Args:
             P: dense (S, A, S), of floats or of Fractions (then the model is exact), or
-                scipy.sparse (S*A, S) with row s*A + a. Stored zeros are dropped.
+                scipy.sparse (S*A, S) with row s*A + a. Stored zeros are dropped; an action
+                whose row is masked is not available.
             fail: bool (S,). Rows of fail states are ignored: the episode has ended.
             available: bool (S, A); without it every row of a state that is neither fail
                 nor terminal must be a distribution. Rows of unavailable actions are
                 ignored.
             terminal, rewards, initial, state_names, action_names, geometry: as in
                 :meth:`deterministic`.
+            normalise: divide rows that miss 1 by the rounding of six digits or float32 (by
+                1e-6, or 5e-7 an entry if there are more than two) by their sums;
+                :attr:`normalised` counts them, and what is left of rounding is divided out
+                of :meth:`exact_probabilities`.
 
         Raises:
             ValueError: naming the state and action at fault: a negative or NaN
@@ -206,15 +217,18 @@ class SafeMDP:
         """
         from dead_ends.kernel import build_kernel
 
-        fail_array = np.asarray(fail)
+        fail_array = plain_array("fail", fail)
         num_states = fail_array.shape[0] if fail_array.ndim == 1 else -1
         if num_states < 0:
             raise ValueError(f"fail must have shape (S,), not {fail_array.shape}")
         fail_mask, terminal_mask = end_masks(fail, terminal, num_states)
+        P = transition_array(P)
         num_actions = count_actions(P, num_states)
         names = Names(state_names, action_names, num_states, num_actions)
+        P, available = available_rows(P, available, fail_mask | terminal_mask, names)
         mask = available_mask(available, fail_mask, terminal_mask, num_actions, names)
-        kernel, exact = build_kernel(P, mask, terminal_mask, names.pair)
+        kernel, exact, mended = build_kernel(P, mask, terminal_mask, names.pair, normalise)
+        first, mended_first = initial_distribution(initial, num_states, normalise)
         return cls(
             next_state=None,
             kernel=kernel,
@@ -223,10 +237,11 @@ class SafeMDP:
             terminal=terminal_mask,
             num_actions=num_actions,
             rewards=reward_table(rewards, num_states, num_actions, names),
-            initial=initial_distribution(initial, num_states),
+            initial=first,
             state_names=names.states,
             action_names=names.actions,
             geometry=_geometry(geometry, num_states, num_actions),
+            normalised=mended + mended_first if normalise else None,
             _available=mask,
         )
 
@@ -278,7 +293,7 @@ class SafeMDP:
         """The probabilities of ``transitions().data`` as Fractions.
 
         Fractions are taken as given; a float is read as its shortest decimal (0.1 is
-        1/10).
+        1/10), and divided by its row's sum if the model was made with ``normalise=True``.
 
         Raises:
             ValueError: naming the state and action whose row does not sum to exactly 1.
@@ -288,7 +303,7 @@ class SafeMDP:
         from dead_ends.kernel import exact_data
 
         names = Names(self.state_names, self.action_names, self.num_states, self.num_actions)
-        return exact_data(self.transitions(), names.pair)
+        return exact_data(self.transitions(), names.pair, self.normalised is not None)
 
     def state_name(self, state: int) -> str:
         """The state for a sentence: its number, and its name if it has one."""
@@ -313,14 +328,37 @@ class SafeMDP:
         kind = "deterministic" if self.is_deterministic else "stochastic"
         ends = f"{int(self.fail.sum()):,} fail, {int(self.terminal.sum()):,} terminal"
         kind += ", an estimate" if self.estimate else ""
-        return f"SafeMDP({kind}, {self.num_states:,} states, {self.num_actions} actions, {ends})"
+        rows = f", {self.normalised:,} rows normalised" if self.normalised else ""
+        sizes = f"{self.num_states:,} states, {self.num_actions} actions"
+        return f"SafeMDP({kind}, {sizes}, {ends}{rows})"
 
 
 def _geometry(geometry: Geometry | None, num_states: int, num_actions: int) -> Geometry | None:
     if geometry is None:
         return None
+    require_type(geometry, Geometry, "geometry")
     if len(geometry.cell) != num_states:
         raise ValueError(f"geometry: expected {num_states} cells, got {len(geometry.cell)}")
     if geometry.arrows is not None and len(geometry.arrows) != num_actions:
         raise ValueError(f"geometry: expected {num_actions} arrows, got {len(geometry.arrows)}")
     return geometry
+
+
+def require_type(value: object, kind: type, where: str) -> None:
+    """Refuse what a function cannot take.
+
+    Raises:
+        TypeError: naming the type wanted, and what makes it.
+    """
+    if not isinstance(value, kind):
+        made = _MADE_BY.get(kind.__name__, "")
+        raise TypeError(f"{where} takes a {kind.__name__}{made}, not {type(value).__name__}")
+
+
+_MADE_BY = {
+    "SafeMDP": " (SafeMDP.deterministic and SafeMDP.stochastic make one of arrays)",
+    "Values": " (value_iteration and evaluate_policy make them)",
+    "Labelling": " (classify makes one)",
+    "Certificate": " (certify makes one)",
+    "ExpectedSurvival": " (expected_survival makes one)",
+}

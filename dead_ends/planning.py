@@ -30,7 +30,8 @@ from numpy.typing import ArrayLike, NDArray
 from dead_ends.bellman import evaluate_policy, value_iteration
 from dead_ends.correction import corrected_model
 from dead_ends.labels import classify
-from dead_ends.model import SafeMDP
+from dead_ends.model import SafeMDP, require_type
+from dead_ends.model_input import plain_array
 from dead_ends.policies import allowed_actions
 from dead_ends.results import Values
 
@@ -105,6 +106,7 @@ def plan(
         ValueError: if the model has no rewards or no initial states, if ``allowed`` has the
             wrong shape or type, or if gamma is not between 0 and 1.
     """
+    require_type(model, SafeMDP, "plan")
     discount = _checked_discount(gamma)
     if model.rewards is None or model.initial is None:
         missing = "rewards" if model.rewards is None else "initial states"
@@ -144,6 +146,7 @@ def price_of_conservatism(
         ValueError: as :func:`plan`, :func:`dead_ends.evaluate_policy` and
             :func:`dead_ends.allowed_actions`.
     """
+    require_type(model, SafeMDP, "price_of_conservatism")
     unconstrained = plan(model, None, gamma)
     best = value_iteration(model, gamma_safe)
     task = evaluate_policy(model, task_policy, gamma_safe)
@@ -205,7 +208,7 @@ class _Bellman:
     @property
     def terms(self) -> int:
         """Roundings in one entry of a sweep: the longest row's, and those around it."""
-        return int(np.diff(self.kernel.indptr).max(initial=0)) + 4
+        return int(np.diff(self.kernel.indptr).max()) + 4
 
     def rounding(self, values: NDArray[np.float64]) -> float:
         """A bound on the rounding error of one sweep from ``values``."""
@@ -256,7 +259,7 @@ def _checked_discount(gamma: float | Fraction) -> float:
 
 
 def _checked_mask(allowed: NDArray[np.bool_], model: SafeMDP) -> NDArray[np.bool_]:
-    mask = np.asarray(allowed)
+    mask = plain_array("allowed", allowed)
     shape = (model.num_states, model.num_actions)
     if mask.dtype != np.bool_ or mask.shape != shape:
         raise ValueError(

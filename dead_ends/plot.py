@@ -31,7 +31,7 @@ from dead_ends.cells import (
     geometry_of,
     outline,
 )
-from dead_ends.model import Geometry, SafeMDP
+from dead_ends.model import Geometry, SafeMDP, require_type
 from dead_ends.results import INFINITE, Label, Labelling
 
 __all__ = ["Blocked", "Boundary", "plot_boundaries", "plot_map"]
@@ -88,6 +88,8 @@ def plot_map(
     Raises:
         ValueError: if the model has no geometry, or two states share a cell.
     """
+    require_type(model, SafeMDP, "plot_map")
+    require_type(labelling, Labelling, "plot_map")
     geometry = geometry_of(model)
     columns, rows = extent_cells(geometry)
     width = min(11.0, max(5.0, 0.62 * columns + 1.2))
@@ -153,6 +155,8 @@ def plot_boundaries(
     Raises:
         ValueError: if the model has no geometry, or two states share a cell.
     """
+    require_type(model, SafeMDP, "plot_boundaries")
+    require_type(labelling, Labelling, "plot_boundaries")
     geometry = geometry_of(model)
     if blocked:
         figure = Figure(figsize=(12.5, 5.4), layout="constrained")

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dead_ends.model_input import ROW_SUM_TOLERANCE
+from dead_ends.model_input import ROW_SUM_TOLERANCE, plain_array
 from dead_ends.policy_input import as_distribution
 from dead_ends.precision import UndecidedError
 from dead_ends.results import Values
@@ -195,7 +195,7 @@ def checked_policy(policy: ArrayLike, table: NDArray[Any], what: str = "policy")
     Raises:
         ValueError: naming the state and action.
     """
-    array = np.asarray(policy)
+    array = plain_array(what, policy)
     acts = np.asarray((table < math.inf).any(axis=1))
     if array.shape == table.shape[:1] and np.issubdtype(array.dtype, np.integer):
         wrong = np.flatnonzero(acts & ((array < 0) | (array >= table.shape[1])))
@@ -224,7 +224,9 @@ def checked_policy(policy: ArrayLike, table: NDArray[Any], what: str = "policy")
 
 
 def _checked_table(Q: ArrayLike) -> NDArray[Any]:
-    table = np.asarray(Q)
+    table = plain_array("Q", Q)
+    if table.shape == () and table.dtype == object:
+        raise TypeError(f"Q must be Values or a table (S, A), not {type(Q).__name__}")
     if table.ndim != 2 or 0 in table.shape:
         raise ValueError(f"Q must have shape (S, A), not {table.shape}")
     if table.dtype.kind in "iuf":
@@ -302,7 +304,7 @@ def _safe_states(safe: NDArray[np.bool_] | None, Q: Critic, num_states: int) -> 
         from dead_ends.labels import classify
 
         return classify(Q.model).paper_safe
-    mask = np.asarray(safe)
+    mask = plain_array("safe", safe)
     if mask.dtype != np.bool_ or mask.shape != (num_states,):
         raise ValueError(
             f"safe must be a boolean mask of shape ({num_states},), "

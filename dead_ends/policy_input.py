@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dead_ends.model import SafeMDP
-from dead_ends.model_input import ROW_SUM_TOLERANCE
+from dead_ends.model_input import ROW_SUM_TOLERANCE, plain_array
 
 __all__ = ["as_distribution", "check_policy", "exact_distribution", "single_actions"]
 
@@ -34,7 +34,7 @@ def check_policy(model: SafeMDP, policy: ArrayLike) -> NDArray[Any]:
             available, a negative or NaN probability, a row that does not sum to 1 (within
             1e-9; exactly, for Fractions). Rows of fail and terminal states are not checked.
     """
-    array = np.asarray(policy)
+    array = plain_array("policy", policy)
     if array.shape == (model.num_states,) and np.issubdtype(array.dtype, np.integer):
         return _checked_actions(model, array.astype(np.int64))
     if array.shape == (model.num_states, model.num_actions):
@@ -53,7 +53,7 @@ def as_distribution(policy: ArrayLike, num_actions: int) -> NDArray[Any]:
 
     Entries of an integer policy outside 0 to A-1 (as on fail states) give a row of zeros.
     """
-    array = np.asarray(policy)
+    array = plain_array("policy", policy)
     if array.ndim == 2:
         return array
     return np.asarray(array[:, None] == np.arange(num_actions), dtype=np.float64)

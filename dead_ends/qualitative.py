@@ -50,9 +50,7 @@ def qualitative_labels(model: SafeMDP) -> NDArray[np.uint8]:
         AT_RISK elsewhere.
     """
     kernel = model.transitions()
-    # Half the memory for all but the largest models, whose choices need eight bytes.
-    width = np.int32 if kernel.shape[0] <= np.iinfo(np.int32).max else np.int64
-    choices = np.empty(kernel.nnz, dtype=width)
+    choices = np.empty(kernel.nnz, dtype=_width(kernel.shape[0]))
     starts = _predecessors(kernel.indices, kernel.indptr, model.num_states, choices)
     available = np.diff(kernel.indptr) > 0
     p_min_zero = _p_min_zero(starts, choices, available, model.num_actions, model.fail)
@@ -62,6 +60,11 @@ def qualitative_labels(model: SafeMDP) -> NDArray[np.uint8]:
     labels[p_min_zero] = Label.SAFE
     labels[model.fail] = Label.FAIL
     return labels
+
+
+def _width(num_choices: int) -> type[np.integer[Any]]:
+    """The integers that number choices: four bytes for all but the largest models, else eight."""
+    return np.int32 if num_choices <= np.iinfo(np.int32).max else np.int64
 
 
 @compiled

@@ -26,7 +26,7 @@ from dead_ends.certificate import find_witnesses
 from dead_ends.checker import Certificate
 from dead_ends.conventions import CriticConvention, ValueConvention
 from dead_ends.labels import classify
-from dead_ends.model import Geometry, SafeMDP
+from dead_ends.model import Geometry, SafeMDP, require_type
 from dead_ends.results import INFINITE, Label, Labelling, Values
 from dead_ends.thresholds import ThresholdInterval, threshold_interval
 
@@ -56,6 +56,7 @@ def report_page(
     Raises:
         ValueError: if the model has more states than a page can show.
     """
+    require_type(model, SafeMDP, "report_page")
     if model.num_states > MAX_STATES:
         raise ValueError(
             f"the page shows at most {MAX_STATES:,} states, the model has {model.num_states:,}; "
@@ -92,6 +93,7 @@ def layout_by_survival_time(labelling: Labelling) -> Geometry:
     From left to right: fail, dead by survival time (those without a bound last), at risk,
     safe. A group with many states takes several columns.
     """
+    require_type(labelling, Labelling, "layout_by_survival_time")
     groups = [np.flatnonzero(labelling.fail)]
     times = labelling.survival_time
     groups += [

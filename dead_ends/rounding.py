@@ -17,7 +17,7 @@ arithmetic that the solvers need, and it costs one multiplication a row.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from scipy import sparse
 __all__ = ["TINY", "Csr", "Float", "RoundedKernel", "grow", "pattern", "product", "shrink"]
 
 Float = NDArray[np.float64]
-Csr = sparse.csr_array[np.float64]
+Csr: TypeAlias = "sparse.csr_array[np.float64]"
 
 UNIT = 2.0**-53
 TINY = float(np.finfo(np.float64).tiny)

@@ -44,7 +44,7 @@ from dead_ends.discount import SMALLEST_NORMAL
 from dead_ends.enclosure import check_width, enclose
 from dead_ends.exact import ExactProblem, exact_rows
 from dead_ends.labels import classify
-from dead_ends.model import SafeMDP
+from dead_ends.model import SafeMDP, require_type
 from dead_ends.operators import Optimum, unknown_rows
 from dead_ends.results import INFINITE, Values
 from dead_ends.rounding import RoundedKernel
@@ -121,6 +121,7 @@ def expected_survival(
         ValueError: if the tolerance is not reached; if ``exact`` and a row does not sum to
             exactly 1.
     """
+    require_type(model, SafeMDP, "expected_survival")
     labelling = classify(model)
     if model.is_deterministic:
         times = labelling.survival_time
@@ -194,6 +195,8 @@ def one_step_risk(values: Values, survival: ExpectedSurvival) -> NDArray[np.floa
     Raises:
         ValueError: for another convention; if the model is an estimate.
     """
+    require_type(values, Values, "one_step_risk")
+    require_type(survival, ExpectedSurvival, "one_step_risk")
     _check_convention(values)
     values.model.refuse_estimate("a bound of the risk")
     scale = survival.discounted(values.gamma_safe)[survival.dead].min(initial=1.0)
@@ -291,6 +294,7 @@ def episode_guarantee(
         ValueError: if the critic is discounted or in another convention, if epsilon_safe lies
             outside [0, 1], if there is no first state, if the model is an estimate.
     """
+    require_type(values, Values, "episode_guarantee")
     _check_convention(values)
     values.model.refuse_estimate("a guarantee")
     if values.gamma_safe != 1:

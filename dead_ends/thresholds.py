@@ -47,7 +47,7 @@ from dead_ends.discount import (
     scientific,
 )
 from dead_ends.labels import classify, safe_actions
-from dead_ends.model import SafeMDP
+from dead_ends.model import SafeMDP, require_type
 from dead_ends.precision import UndecidedError
 
 __all__ = ["ThresholdInterval", "threshold_interval"]
@@ -174,6 +174,7 @@ def threshold_interval(
         ValueError: for a discount outside (0, 1]; if the values of a stochastic model are too
             small for floats, so that no positive lower bound of eps_Z is known.
     """
+    require_type(model, SafeMDP, "threshold_interval")
     gamma, exact = read_discount(gamma_safe, exact)
     powers = Powers.of(ValueConvention(value), CriticConvention(critic))
     if model.is_deterministic:

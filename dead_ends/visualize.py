@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -357,9 +357,10 @@ def _has_display() -> bool:
 
 
 def _show(figure: Figure) -> None:
+    """Give the figure a window; ``pyplot.figure(figure)`` does so from matplotlib 3.11 on only."""
     from matplotlib import pyplot
 
-    pyplot.figure(figure)
+    pyplot.figure(FigureClass=cast("type[Figure]", lambda **_: figure))
     pyplot.show()
 
 

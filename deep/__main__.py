@@ -53,6 +53,9 @@ def parse(arguments: Sequence[str]) -> Command:
     name: str = make_parser().parse_args(arguments[:1]).command
     import tyro
 
+    from deep.folder import refuse_empty_names
+
+    refuse_empty_names(arguments)
     module = import_module(f"deep.cli.{name.replace('-', '_')}")
     command: Command = tyro.cli(
         getattr(module, name.title().replace("-", "")),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias
 
@@ -15,9 +15,11 @@ from deep.tasks.task import Floats, Observations, Task
 __all__ = [
     "Policy",
     "Source",
+    "check_shares",
     "collect",
     "collect_mix",
     "corner_policy",
+    "kept",
     "random_policy",
     "sb3_policy",
     "towards_obstacle_policy",
@@ -28,6 +30,8 @@ Actions: TypeAlias = NDArray[np.floating[Any]]
 Policy: TypeAlias = Callable[[Observations, Floats, np.random.Generator], Actions]
 """(observations (n, o), states (n, s), rng) -> actions (n, a) in [-1, 1]."""
 Starts: TypeAlias = Callable[[np.random.Generator, int], Floats]
+Draw: TypeAlias = Callable[[int], dict[str, NDArray[Any]]]
+"""A number of transitions -> at least so many, as columns."""
 COPIES = 64
 
 
@@ -193,13 +197,22 @@ def collect_mix(
         ValueError: if the shares do not sum to 1, or a source gives too few transitions
             before violations.
     """
-    total = sum(source.share for source in sources)
-    if abs(total - 1) > 1e-9 or any(source.share <= 0 for source in sources):
-        raise ValueError(f"shares must be positive and sum to 1, not to {total:g}")
-    counts = np.diff(np.round(np.cumsum([0.0, *(s.share for s in sources)]) * transitions))
+    counts = check_shares([source.share for source in sources], transitions)
     return concatenate(
-        [_kept(task, s, rng, int(n)) for s, n in zip(sources, counts, strict=True) if n >= 1]
+        [_kept(task, s, rng, n) for s, n in zip(sources, counts, strict=True) if n >= 1]
     )
+
+
+def check_shares(shares: Sequence[float], transitions: int) -> list[int]:
+    """How many of the transitions each share is.
+
+    Raises:
+        ValueError: if the shares are not positive or do not sum to 1.
+    """
+    total = sum(shares)
+    if abs(total - 1) > 1e-9 or any(share <= 0 for share in shares):
+        raise ValueError(f"shares must be positive and sum to 1, not to {total:g}")
+    return [int(n) for n in np.diff(np.round(np.cumsum([0.0, *shares]) * transitions))]
 
 
 LARGEST = 1 << 20
@@ -209,28 +222,43 @@ PATIENCE = 300
 
 
 def _kept(task: Task, source: Source, rng: np.random.Generator, wanted: int) -> Transitions:
-    """Exactly ``wanted`` transitions that pass the source's filter.
+    """Exactly ``wanted`` transitions that pass the source's filter."""
+
+    def draw(transitions: int) -> dict[str, NDArray[Any]]:
+        return _draw(task, source.policy, rng, transitions, COPIES, source.starts, source.max_steps)
+
+    return kept(task.name, draw, source.keep, wanted)
+
+
+def kept(name: str, draw: Draw, keep: int | None, wanted: int) -> Transitions:
+    """Exactly ``wanted`` transitions, at most ``keep`` steps before violations.
 
     A draw that gives too few is thrown away for one twice as large; the largest add up.
+
+    Args:
+        name: the task's.
+        draw: at least so many transitions, as columns, where violations may be missing.
+        keep: None: everything.
+        wanted: how many.
+
+    Raises:
+        ValueError: if there are too few, or no violation.
     """
-    if source.keep is None:
-        data = collect(
-            task, source.policy, rng, wanted, starts=source.starts, max_steps=source.max_steps
-        )
-        return data.take(np.arange(wanted))
+    if keep is None:
+        return Transitions(**draw(wanted)).take(np.arange(wanted))
     drawn, total = wanted, 0
     parts: list[Transitions] = []
     while total < PATIENCE * wanted:
-        columns = _draw(task, source.policy, rng, drawn, COPIES, source.starts, source.max_steps)
+        columns = draw(drawn)
         total += drawn
         parts = parts if drawn >= LARGEST else []
         if columns["costs"].any():
-            parts.append(keep_before_violation(Transitions(**columns), source.keep))
+            parts.append(keep_before_violation(Transitions(**columns), keep))
         found = sum(len(part) for part in parts)
         if found >= wanted:
             return concatenate(parts).take(np.arange(wanted))
         drawn = max(min(2 * drawn, LARGEST), wanted)
     raise ValueError(
-        f"{task.name}: of {total:,} transitions too few lie within {source.keep} steps before "
+        f"{name}: of {total:,} transitions too few lie within {keep} steps before "
         f"a violation; {wanted:,} are wanted"
     )

@@ -31,6 +31,7 @@ from deep.pretrain import (
 from deep.safety_filter import Bounds
 from deep.tasks import Task
 from deep.thresholds import discount_from_horizon, low_threshold, paper_threshold
+from deep.violation import check_rule
 
 __all__ = ["MethodChoice", "Mix", "PretrainConfig", "config_from_json", "config_to_json", "resolve"]
 
@@ -88,6 +89,9 @@ class PretrainConfig:
     Attributes:
         task: the name of a task, from which every seed collects its own data.
         data: a file of transitions for all seeds, instead of a task.
+        cut: end the file's episodes at every violation, see
+            :func:`deep.data.cut_at_violation`.
+        violation: which of the file's costs are one, as in "cost > 0.5"; None: they are 0 or 1.
         method: the form of Algorithm 1, with its settings.
         seeds: one critic and recovery policy each, trained side by side.
         updates: minibatch updates.
@@ -110,6 +114,8 @@ class PretrainConfig:
 
     task: str | None = None
     data: Path | None = None
+    cut: bool = False
+    violation: str | None = None
     method: MethodChoice = field(default_factory=DeaRrlAnnealedSettings)
     seeds: tuple[int, ...] = (0,)
     updates: int = 4000
@@ -127,6 +133,14 @@ class PretrainConfig:
     def __post_init__(self) -> None:
         if (self.task is None) == (self.data is None):
             raise ValueError("give either a task or a data file")
+        if self.task is not None and self.task.startswith(("real:", "gym:")):
+            raise ValueError(
+                f"{self.task}: pretraining collects from this project's own tasks only; make a "
+                "file with collect or offline-data, and give it as data"
+            )
+        check_rule(self.violation)
+        if self.data is None and (self.cut or self.violation is not None):
+            raise ValueError("cut and violation are of a data file: a task ends at violations")
         if self.device not in ("cpu", "cuda"):
             raise ValueError(f"device must be cpu or cuda, not {self.device!r}")
         if self.sharpness < 1:
@@ -178,9 +192,14 @@ def resolve(config: PretrainConfig, horizon: int | None) -> PretrainConfig:
     )
 
 
+WHEN_GIVEN: dict[str, Any] = {"cut": False, "violation": None}
+"""What is written only where it is something else."""
+
+
 def config_to_json(config: PretrainConfig) -> dict[str, Any]:
     """Plain values; the method by its name and settings."""
     plain = asdict(config)
+    plain = {k: v for k, v in plain.items() if k not in WHEN_GIVEN or v != WHEN_GIVEN[k]}
     plain["data"] = None if config.data is None else str(config.data)
     plain["method"] = {"name": method_name(config.method), **plain["method"]}
     return plain
@@ -198,6 +217,6 @@ def config_from_json(plain: dict[str, Any]) -> PretrainConfig:
         data = plain["data"]
         nested = {"method": from_plain(kind, settings), "mix": from_plain(Mix, plain["mix"])}
         path = None if data is None else Path(data)
-        return from_plain(PretrainConfig, plain | nested | {"data": path})
+        return from_plain(PretrainConfig, WHEN_GIVEN | plain | nested | {"data": path})
     except (KeyError, TypeError) as error:
         raise ValueError(f"not the configuration of a run: {error}") from error

@@ -3,6 +3,7 @@
 The keys are those of DSRL's flat layout. An episode ends where ``terminals`` (a violation
 or a goal) or ``timeouts`` (the clock, or the end of the recording) is set; the next row
 begins another. Costs are 1 at a violation, else 0, and a violation ends its episode.
+Nothing is repaired silently: what is no number, or no flag, is refused by column and row.
 """
 
 from __future__ import annotations
@@ -13,7 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Summary", "Transitions", "concatenate", "keep_before_violation", "summarise"]
+from deep.violation import violations
+
+__all__ = [
+    "Summary",
+    "Transitions",
+    "check_episodes",
+    "checked",
+    "concatenate",
+    "cut_at_violation",
+    "keep_before_violation",
+    "summarise",
+]
 
 Floats = NDArray[np.float32]
 Bools = NDArray[np.bool_]
@@ -42,11 +54,12 @@ class Transitions:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            kind = np.bool_ if field.name in ("terminals", "timeouts") else np.float32
-            object.__setattr__(self, field.name, _frozen(getattr(self, field.name), kind))
+            object.__setattr__(self, field.name, checked(field.name, getattr(self, field.name)))
         _check_shapes(self)
-        _check_numbers(self)
-        _check_episodes(self)
+        violations(self.costs, None)
+        check_episodes(self.costs, self.terminals)
+        if not self.costs.any():
+            raise ValueError("costs: there is no violation in the data, so nothing to learn from")
 
     def __len__(self) -> int:
         return len(self.costs)
@@ -63,13 +76,52 @@ class Transitions:
         )
 
 
-def _frozen(given: Any, kind: type[np.generic]) -> NDArray[Any]:
-    """A read-only copy; an array that is read-only already is kept as it is."""
-    if isinstance(given, np.ndarray) and given.dtype == kind and not given.flags.writeable:
-        return given
-    array: NDArray[Any] = np.array(given, dtype=kind)
-    array.flags.writeable = False
+def checked(name: str, given: Any) -> NDArray[Any]:
+    """A column as it is kept: read-only, float32 or bool, every number finite, every flag 0 or 1.
+
+    An array that is that already is not copied.
+
+    Args:
+        name: the column's, which decides on the type.
+        given: its values.
+
+    Raises:
+        ValueError: naming column and row of the first value that will not do.
+    """
+    kind = np.bool_ if name in ("terminals", "timeouts") else np.float32
+    ready = type(given) is np.ndarray and given.dtype == kind and not given.flags.writeable
+    array = given if ready else _numbers(name, given)
+    if kind is np.bool_:
+        _check_each(name, array, (array == 0) | (array == 1), "1 where an episode ends, else 0")
+    with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, and is refused
+        kept: NDArray[Any] = array if ready else np.array(array, dtype=kind)
+    _check_each(name, array, np.isfinite(kept), "a finite number of float32's range")
+    kept.flags.writeable = False
+    return kept
+
+
+def _numbers(name: str, given: Any) -> NDArray[Any]:
+    """An array of numbers, nothing masked."""
+    if np.ma.is_masked(given):
+        raise ValueError(
+            f"{name}: row {int(np.argwhere(np.ma.getmaskarray(given))[0][0])} is masked"
+        )
+    try:
+        array = np.asarray(given)
+    except ValueError as error:
+        raise ValueError(f"{name}: rows differ in length ({error})") from error
+    if array.dtype.kind not in "biuf":
+        raise ValueError(f"{name}: the values are of type {array.dtype}, not real numbers")
     return array
+
+
+def _check_each(name: str, array: NDArray[Any], good: Bools, meant: str) -> None:
+    if good.all():
+        return
+    place = tuple(map(int, np.argwhere(~good)[0]))
+    row = f"row {place[0]}" if place else "the value"
+    column = f", column {', '.join(map(str, place[1:]))}" if place[1:] else ""
+    raise ValueError(f"{name}: {row}{column} is {array[place]}, not {meant}")
 
 
 def _check_shapes(data: Transitions) -> None:
@@ -86,6 +138,8 @@ def _check_shapes(data: Transitions) -> None:
             f"next_observations have shape {data.next_observations.shape}, "
             f"observations {data.observations.shape}"
         )
+    if data.costs.ndim == 2 and data.costs.shape[1] > 1:
+        violations(data.costs, None)  # says how one of several constraints is chosen
     for name in ("actions", "rewards", "costs", "terminals", "timeouts"):
         shape = getattr(data, name).shape
         wanted = (n, *shape[1:]) if name == "actions" else (n,)
@@ -93,49 +147,34 @@ def _check_shapes(data: Transitions) -> None:
             raise ValueError(f"{name} has shape {shape}, expected {wanted}")
 
 
-def _check_numbers(data: Transitions) -> None:
-    for name in ("observations", "actions", "next_observations", "rewards", "costs"):
-        array = getattr(data, name)
-        bad = ~np.isfinite(array.reshape(len(array), -1)).all(axis=1)
-        if bad.any():
-            raise ValueError(f"{name}: row {int(np.argmax(bad))} holds a NaN or an infinity")
-    odd = (data.costs != 0) & (data.costs != 1)
-    if odd.any():
-        row = int(np.argmax(odd))
-        raise ValueError(
-            f"costs: row {row} is {data.costs[row]:g}; a cost is 1 at a violation, else 0"
-        )
+def check_episodes(costs: NDArray[Any], terminals: Bools) -> None:
+    """Refuse violations that end no episode.
 
-
-def _check_episodes(data: Transitions) -> None:
-    violation = data.costs == 1
-    if not violation.any():
-        raise ValueError("costs: there is no violation in the data, so nothing to learn from")
-    goes_on = violation & ~data.terminals
+    Raises:
+        ValueError: naming the first one, and how many there are.
+    """
+    goes_on = (costs != 0) & ~terminals
     if goes_on.any():
-        row = int(np.argmax(goes_on))
+        row, count = int(np.argmax(goes_on)), int(goes_on.sum())
         raise ValueError(
-            f"costs: row {row} is a violation but its episode goes on (terminals is not set); "
-            "cut episodes at their first violation, for example with cut_at_violation"
+            f"costs: row {row} is a violation but its episode goes on (terminals is not set), as "
+            f"after {count:,} of {int((costs != 0).sum()):,} violations; --cut (cut=True, or "
+            "cut_at_violation) ends an episode at each of them and begins another after it"
         )
 
 
 def cut_at_violation(raw: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Raw columns with every episode cut at its first violation, which ends it.
+    """Raw columns where each violation ends an episode, and the recording goes on in another.
 
-    For recordings that go on after a violation (``python -m deep`` and the readers refuse
-    them): rows after the first violation of an episode are dropped, the violation's row
-    is marked in ``terminals``.
+    For recordings that go on after violations, as DSRL's do: every violation is kept, as a row
+    marked in ``terminals``. Dropped are only the rows that lead out of a violating state: it has
+    failed, whatever comes after it. The rows further on count as they are, so the system must be
+    the same after a violation as before it; cut the recording of a wreck at its first one.
     """
-    ends = np.asarray(raw["terminals"], dtype=np.bool_) | np.asarray(
-        raw["timeouts"], dtype=np.bool_
-    )
-    violation = np.asarray(raw["costs"]) > 0
-    episode = np.concatenate([[0], np.cumsum(ends)[:-1]])
-    count = np.cumsum(violation)
-    before: NDArray[np.int64] = count - violation
-    starts = np.flatnonzero(np.diff(episode, prepend=-1))
-    keep: Bools = before == before[starts][episode]
+    ends = checked("terminals", raw["terminals"]) | checked("timeouts", raw["timeouts"])
+    violation = checked("costs", raw["costs"]) > 0
+    failed_before = np.append(False, (violation & ~ends)[:-1])
+    keep: Bools = violation | ~failed_before
     cut = {name: np.asarray(column)[keep].copy() for name, column in raw.items()}
     cut["terminals"] = cut["terminals"].astype(np.bool_) | (cut["costs"] > 0)
     cut["timeouts"] = cut["timeouts"].astype(np.bool_) & ~cut["terminals"]

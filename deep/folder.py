@@ -1,4 +1,8 @@
-"""What run folders have in common: who made them from what, their files, a polite Ctrl-C."""
+"""What run folders have in common: who made them from what, their files, a polite Ctrl-C.
+
+One process at a time works in a folder or on a file, and nothing is written over what somebody
+else has left there.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,8 @@ import platform
 import signal
 import subprocess
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import fields
 from importlib import metadata
 from pathlib import Path
@@ -18,13 +23,101 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from dead_ends.io.atomic import atomic_path
+from deep.job_lock import JobLock, LockHeldError
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-__all__ = ["CsvLog", "InterruptAfterUpdate", "fingerprint", "from_plain", "read_object", "versions"]
+__all__ = [
+    "CsvLog",
+    "InterruptAfterUpdate",
+    "check_unused",
+    "fingerprint",
+    "from_plain",
+    "new_file",
+    "only_process",
+    "read_object",
+    "refuse_empty_names",
+    "versions",
+]
 
 Config = TypeVar("Config", bound="DataclassInstance")
+
+
+RUN_FILES = ("result.json", "checkpoint.safetensors", "progress.csv", "filters", "policies")
+
+
+def check_unused(folder: Path) -> None:
+    """Refuse to begin a run where another left something: it would pass for this run's.
+
+    Raises:
+        ValueError: naming what is there.
+    """
+    for name in RUN_FILES:
+        if (folder / name).exists():
+            raise ValueError(f"{folder}: there is {name} of something else; begin in a new folder")
+
+
+@contextmanager
+def only_process(folder: Path) -> Iterator[None]:
+    """Be the only process that works in a folder; it is made, and goes again if it stays empty.
+
+    The lock dies with its process, in whatever way, see :mod:`deep.job_lock`.
+
+    Raises:
+        ValueError: if another process is at work there.
+    """
+    with _made(folder), _lock(folder / ".lock", folder):
+        yield
+
+
+@contextmanager
+def new_file(path: Path) -> Iterator[None]:
+    """Be the only process that makes this file, in a folder that is made if need be.
+
+    Raises:
+        ValueError: if it is there, or another process is making it.
+    """
+    with _made(path.parent), _lock(path.with_name(f".{path.name}.lock"), path):
+        if path.exists():
+            raise ValueError(f"{path}: it is there already; remove it, or give another name")
+        yield
+
+
+@contextmanager
+def _made(folder: Path) -> Iterator[None]:
+    """A folder that exists; it and its parents go again if they were made for nothing."""
+    made = [place for place in (folder, *folder.parents) if not place.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # not empty: there is something to keep
+            for place in made:
+                place.rmdir()
+
+
+@contextmanager
+def _lock(file: Path, what: Path) -> Iterator[None]:
+    try:
+        lock = JobLock(file, across_hosts=False)
+    except LockHeldError as held:
+        raise ValueError(f"{what}: another process is at work there: {held}") from held
+    with lock:
+        yield
+
+
+def refuse_empty_names(arguments: Sequence[str]) -> None:
+    """Refuse an option without a name: an empty path would mean the folder of the moment.
+
+    Raises:
+        ValueError: naming the option.
+    """
+    for before, argument in zip(["", *arguments], arguments, strict=False):
+        if not argument.strip():
+            raise ValueError(f"{before or 'the first argument'}: an empty name")
+        if argument.startswith("--") and argument.endswith("="):
+            raise ValueError(f"{argument[:-1]}: an empty name")
 
 
 def versions() -> dict[str, str]:
@@ -35,19 +128,32 @@ def versions() -> dict[str, str]:
 
 
 def _git_revision() -> str:
-    """The revision of the source tree, with a + if it has changes; "" if git knows none."""
-    root = Path(__file__).parent
+    """The revision of the source tree, with a + if it has changes; "" if git knows none.
+
+    Only of the repository to which this very file belongs: an installed package may lie inside
+    somebody else's.
+    """
+    if _git("ls-files", "--error-unmatch", "--", Path(__file__).name) is None:
+        return ""
+    return _git("describe", "--always", "--abbrev=40", "--dirty=+", "--exclude=*") or ""
+
+
+def _git(*arguments: str) -> str | None:
+    """What git says about the folder of this file; None if it fails, or is not there."""
+    # Inside a hook git points its own commands at that hook's repository.
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
     try:
         run = subprocess.run(
-            ["git", "describe", "--always", "--abbrev=40", "--dirty=+", "--exclude=*"],
-            cwd=root,
+            ["git", *arguments],
+            cwd=Path(__file__).parent,
+            env=clean,
             capture_output=True,
             text=True,
             check=False,
         )
-    except FileNotFoundError:
-        return ""
-    return run.stdout.strip()
+    except OSError:
+        return None
+    return run.stdout.strip() if run.returncode == 0 else None
 
 
 def read_object(path: Path, *entries: str) -> dict[str, Any]:

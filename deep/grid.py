@@ -27,6 +27,8 @@ from deep.job_process import Ending, JobProcess, Outcome
 __all__ = ["Failure", "GridResult", "Job", "JobsFailedError", "failure_table", "run_jobs"]
 
 PROGRAM = (sys.executable, "-m", "deep")
+DONE = (Ending.FINISHED, Ending.SKIPPED)
+LOST = (Ending.FAILED, Ending.BLOCKED)
 TICK = 0.2  # seconds between two looks at what has ended
 ELSEWHERE_PAUSE = 2.0  # seconds until a job that another command runs is looked at again
 
@@ -224,6 +226,7 @@ class _Grid:
                     raise KeyboardInterrupt
                 self._show()
                 self._collect(interrupts)
+            self._show()
 
     def _start_ready(self, runner: Runner) -> None:
         self._block()
@@ -235,15 +238,13 @@ class _Grid:
                 self.running[runner.submit(self._process(job))] = job.name
 
     def _ready(self, job: Job) -> bool:
-        done = (Ending.FINISHED, Ending.SKIPPED)
         waited = time.monotonic() >= self.elsewhere.get(job.name, 0.0)
-        return waited and all(self.endings.get(need) in done for need in job.needs)
+        return waited and all(self.endings.get(need) in DONE for need in job.needs)
 
     def _block(self) -> None:
         """Give up what needs a job that failed; what needs that follows the next time."""
-        lost = (Ending.FAILED, Ending.BLOCKED)
         for job in self.open:
-            if any(self.endings.get(need) in lost for need in job.needs):
+            if any(self.endings.get(need) in LOST for need in job.needs):
                 self._ended(job.name, Ending.BLOCKED)
 
     def _process(self, job: Job) -> JobProcess:
@@ -281,19 +282,23 @@ class _Grid:
         self._ended(name, outcome.ending)
 
     def _ended(self, name: str, ending: Ending) -> None:
+        """The bar counts only what is there: it is full when every job is finished."""
         self.endings[name] = ending
-        self.bar.update()
+        if ending in DONE:
+            self.bar.update()
 
     def _say(self, line: str) -> None:
         if not self.quiet:
             self.bar.write(line, file=sys.stderr)
 
     def _show(self) -> None:
-        """The names of the running jobs beside the bar."""
-        names = ", ".join(self.running.values())
-        if names != self.shown:
-            self.shown = names
-            self.bar.set_postfix_str(names)
+        """How many jobs are lost, and the names of the running ones, beside the bar."""
+        counts = [(what, sum(e is what for e in self.endings.values())) for what in LOST]
+        lost = [f"{count} {what.name.lower()}" for what, count in counts if count]
+        text = ", ".join((*lost, *self.running.values()))
+        if text != self.shown:
+            self.shown = text
+            self.bar.set_postfix_str(text)
 
     def result(self) -> GridResult:
         """What came of the jobs, in their order."""

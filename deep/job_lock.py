@@ -3,7 +3,8 @@
 The file is locked by the kernel (flock) for as long as a process has it open, the job's own
 process included: whoever dies, in whatever way, the lock is free when the last of them is gone.
 The text in it, process and host, is for people, and for the one case that the kernel may not
-see: an owner on another host, whose lock is never taken over.
+see: an owner on another host, whose lock on a cluster's job is never taken over. A run folder
+or an output, which a killed run leaves and another host may go on with, trusts the kernel alone.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ class JobLock:
 
     Args:
         path: the lock file, in a folder that exists.
+        across_hosts: never take over the lock of another host.
 
     Attributes:
         handle: the open file, to be handed to the job's process.
@@ -35,10 +37,12 @@ class JobLock:
         ValueError: if the file system knows no locks.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, across_hosts: bool = True) -> None:
         self.path = path
-        while (handle := _create(path)) is None and (handle := _take_over(path)) is None:
-            pass  # the owner went away between the two attempts
+        while (handle := _create(path)) is None:
+            if (handle := _take_over(path, across_hosts)) is not None:
+                break
+            # The owner went away between the two attempts.
         self.handle = handle
 
     def sign(self, process: int) -> None:
@@ -70,15 +74,15 @@ def _create(path: Path) -> int | None:
     return handle
 
 
-def _take_over(path: Path) -> int | None:
-    """The lock of a process of this host that is dead; None if the file went away meanwhile."""
+def _take_over(path: Path, across_hosts: bool) -> int | None:
+    """The lock of a process that is dead; None if the file went away meanwhile."""
     try:
         handle = os.open(path, os.O_RDWR)
     except FileNotFoundError:
         return None
     try:
         free = _try_lock(handle, path)
-        if not free or _is_of_another_host(handle):
+        if not free or (across_hosts and _is_of_another_host(handle)):
             raise LockHeldError(f"it is the work of {_owner(handle)} (lock file {path})")
         if _is_open_file(path, handle):
             _sign(handle, os.getpid())

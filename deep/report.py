@@ -102,10 +102,16 @@ def report(study_folder: Path, out: Path) -> Study:
     """Write the report of a study into ``out``; a part without a finished run says so.
 
     Raises:
-        ValueError: if the study holds no finished run, or a broken file.
+        ValueError: if the study holds no finished run, or a broken file; if ``out`` is in the
+            study, or holds something else than an earlier report.
     """
+    if out.resolve().is_relative_to(study_folder.resolve()):
+        raise ValueError(f"{out} is in the study {study_folder}, which is only read: give another")
     study = read_study(study_folder)
+    if out.is_dir() and any(out.iterdir()) and not (out / "report.json").is_file():
+        raise ValueError(f"{out} holds something else than a report: give a new folder")
     out.mkdir(parents=True, exist_ok=True)
+    _write_text(out / "report.json", json.dumps(_inventory(study), indent=2) + "\n")
     pages = [f"# Report: {study.name}\n", HOW_TO_READ]
     if study.unfinished:
         names = ", ".join(f"`{name}`" for name in study.unfinished)
@@ -114,7 +120,6 @@ def report(study_folder: Path, out: Path) -> Study:
         pages.append(f"## {part.title}\n")
         pages.append(_write_part(part, study, out))
     _write_text(out / "report.md", "\n".join(pages))
-    _write_text(out / "report.json", json.dumps(_inventory(study), indent=2) + "\n")
     return study
 
 

@@ -24,7 +24,15 @@ from deep.batches import Batches
 from deep.checkpoint import load_checkpoint, save_checkpoint
 from deep.config import PretrainConfig, config_from_json, config_to_json, resolve
 from deep.data import Transitions
-from deep.folder import CsvLog, InterruptAfterUpdate, fingerprint, read_object, versions
+from deep.folder import (
+    CsvLog,
+    InterruptAfterUpdate,
+    check_unused,
+    fingerprint,
+    only_process,
+    read_object,
+    versions,
+)
 from deep.formats import read_hdf5
 from deep.normalise import Ranges, normalisation_of, normalise, ranges_of
 from deep.pretrain import Learner, Sizes, build_learner
@@ -74,7 +82,9 @@ def check_run(config: PretrainConfig, folder: Path) -> PretrainConfig:
     task = None if config.task is None else make_task(config.task)
     resolved = resolve(config, None if task is None else task_horizon(task))
     same = config_from_json(config_to_json(resolved))
-    if (folder / "config.json").exists() and read_run(folder) != same:
+    if not (folder / "config.json").exists():
+        check_unused(folder)
+    elif read_run(folder) != same:
         raise ValueError(f"{folder} holds a run with another configuration")
     return resolved
 
@@ -140,7 +150,7 @@ def _ranges(config: PretrainConfig, raw: Transitions) -> Ranges:
 def load_raw(config: PretrainConfig) -> tuple[list[Transitions], list[Normalisation]]:
     """The same data as they were recorded, and how they are to be normalised."""
     if config.data is not None:
-        raw = _recorded(config.data)
+        raw = _recorded(config)
         return [raw], [normalisation_of(raw, config.sharpness)] * len(config.seeds)
     assert config.task is not None
     task = make_task(config.task)
@@ -148,9 +158,10 @@ def load_raw(config: PretrainConfig) -> tuple[list[Transitions], list[Normalisat
     return [data for data, _ in pairs], [normalisation for _, normalisation in pairs]
 
 
-def _recorded(path: Path) -> Transitions:
+def _recorded(config: PretrainConfig) -> Transitions:
     """The data of a file, as they were recorded."""
-    return read_hdf5(path)
+    assert config.data is not None
+    return read_hdf5(config.data, cut=config.cut, violation=config.violation)
 
 
 def _collected(task: Task, config: PretrainConfig, seed: int) -> tuple[Transitions, Normalisation]:
@@ -175,9 +186,15 @@ def pretrain(config: PretrainConfig, folder: Path, *, quiet: bool = False) -> Pr
     An interrupt (Ctrl-C) is passed on after the update at work and a checkpoint.
 
     Raises:
-        ValueError: for a folder with another run, or data that cannot be used.
+        ValueError: for a folder with another run, or another process at work, or data that
+            cannot be used.
         FloatingPointError: if a loss is not a number; the last checkpoint stays.
     """
+    with only_process(folder):
+        return _pretrain(config, folder, quiet)
+
+
+def _pretrain(config: PretrainConfig, folder: Path, quiet: bool) -> PretrainResult:
     config = check_run(config, folder)
     filters = _learned(config, folder, quiet)
     health = tuple(
@@ -215,7 +232,7 @@ def _learned(config: PretrainConfig, folder: Path, quiet: bool) -> tuple[SafetyF
 def _logs(config: PretrainConfig) -> Iterator[Transitions]:
     """The data of each seed as they were recorded, once more, one after the other."""
     if config.data is not None:
-        log = _recorded(config.data)
+        log = _recorded(config)
         yield from (log for _ in config.seeds)
         return
     assert config.task is not None

@@ -21,11 +21,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from deep.grid import Job
 from deep.online.config import TrainConfig
 from deep.online.fleet import GYM, REAL
 from deep.tasks import make_task
+from deep.tasks.gym import NO_RULES, Rules
 
 __all__ = ["FORMS", "METHODS", "StudyConfig", "study_jobs"]
 
@@ -51,6 +55,7 @@ class StudyConfig:
     Attributes:
         out: the study's folder.
         tasks: their names.
+        rules: what environments of "gym:" among them leave open.
         methods: sac, wcsac, iql, and forms of Algorithm 1.
         seeds: of the results, trained side by side in one process.
         selection_seeds: of the runs that choose thresholds, one a candidate; the first one is
@@ -81,6 +86,7 @@ class StudyConfig:
 
     out: Path
     tasks: tuple[str, ...] = ("point-goal1", "static-env", "dynamic-env")
+    rules: Annotated[Rules, tyro.conf.arg(name="")] = NO_RULES
     methods: tuple[str, ...] = METHODS
     seeds: tuple[int, ...] = (0, 1, 2, 3)
     selection_seeds: tuple[int, ...] = (100, 101, 102, 103)
@@ -117,6 +123,11 @@ class StudyConfig:
         for name in ("seeds", "selection_seeds"):
             if len(set(getattr(self, name))) != len(getattr(self, name)):
                 raise ValueError(f"{name}: no seed twice, not {list(getattr(self, name))}")
+        if self.rules.violation is not None and "iql" in self.methods:
+            raise ValueError(
+                "violation is of the costs that an environment reports; iql learns from a file, "
+                "where they are 0 or 1 already: leave it out of the methods"
+            )
         if set(self.seeds) & set(self.selection_seeds):
             raise ValueError("thresholds must be chosen on other seeds than the results'")
         log_every = TrainConfig.log_every
@@ -198,8 +209,21 @@ class _Jobs:
     ) -> Job:
         return self._job(
             part, needs, "train", "--task", self.task, "--out", str(self.folder / part),
-            "--seeds", *map(str, seeds), "--steps", str(steps), *more,
+            "--seeds", *map(str, seeds), "--steps", str(steps), *self._rules(), *more,
         )  # fmt: skip
+
+    def _rules(self) -> tuple[str, ...]:
+        """The options of an environment of "gym:"."""
+        rules, options = self.config.rules, list[str]()
+        if not self.task.startswith(GYM):
+            return ()
+        if rules.violation is not None:
+            options += ["--violation", rules.violation]
+        if rules.termination_is_violation:
+            options += ["--termination-is-violation"]
+        if rules.time_limit is not None:
+            options += ["--time-limit", str(rules.time_limit)]
+        return tuple(options)
 
     def data_run(self) -> Job:
         first = self.config.selection_seeds[:1]
@@ -300,6 +324,7 @@ class _Jobs:
             part, ("data/replay.hdf5",), "train-offline", "--task", self.task,
             "--data", str(self.folder / "data/replay.hdf5"), "--out", str(self.folder / part),
             "--seeds", *map(str, self.config.seeds), "--updates", str(self.config.iql_updates),
+            *self._rules(),
         )  # fmt: skip
 
     def plug(self, policy: str, form: str) -> Job:

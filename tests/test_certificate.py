@@ -5,6 +5,7 @@ import json
 import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
+from fractions import Fraction
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -273,6 +274,55 @@ def test_a_certificate_is_of_one_model() -> None:
         if first is not second and first.num_states == second.num_states:
             with pytest.raises(CertificateError, match="of another model"):
                 check_certificate(second, certify(first))
+
+
+def golden_models() -> dict[str, SafeMDP]:
+    """One of each kind that the digest tells apart, with ends, gaps and rows that do not count."""
+    table = np.array([[0, 1], [-1, 2], [7, 7], [9, -9], [1, -1]])
+    fail, terminal = np.arange(5) == 2, np.arange(5) == 3
+    P = np.zeros((3, 2, 3))
+    P[0, 0], P[0, 1], P[1, 0], P[1, 1] = (0.1, 0.2, 0.7), (0, 1, 0), (0, 0, 1), (1 / 3, 0, 2 / 3)
+    thirds = np.array([[[Fraction(1, 3), Fraction(2, 3)]], [[0, 1]]], dtype=object)
+    return {
+        "table": SafeMDP.deterministic(table, fail, terminal=terminal),
+        "floats": SafeMDP.stochastic(P, np.arange(3) == 2, np.array([[1, 1], [1, 0], [1, 1]]) == 1),
+        "Fractions": SafeMDP.stochastic(thirds, np.array([False, True])),
+        "more states than are read at once": line(300_000),
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "digest"),
+    [
+        ("table", "d136cb3e8a1ace9a01147727ca3891bb8203cc5d204c2ac19d8addb5adb735a3"),
+        ("floats", "102858613e926f0865af5c7b0256a6a3ceb469a2c28816f6e2d912354d9d2723"),
+        ("Fractions", "fe92de6386e401189801b76e24d41732d92d59bfeae6f099d30abd2ddff34240"),
+        (
+            "more states than are read at once",
+            "e97307127a0e7cf2b4647847a31c6e91521f340d75a9174cb2167220921885fc",
+        ),
+    ],
+)
+def test_digests_stay_what_they_are(name: str, digest: str) -> None:
+    """Saved certificates hold them: another digest would refuse every one of them."""
+    assert model_digest(golden_models()[name]) == digest
+
+
+def test_a_saved_certificate_stays_valid() -> None:
+    """As a release wrote it, to the letter."""
+    model = golden_models()["table"]
+    columns = {
+        "labels": [SAFE, DEAD, FAIL, SAFE, DEAD],
+        "rank": [0, 1, 0, 0, 2],
+        "escape": [0, 0, 0, 0, 0],
+        "action": [0, -1, -1, 0, -1],
+    }
+    digest = "d136cb3e8a1ace9a01147727ca3891bb8203cc5d204c2ac19d8addb5adb735a3"
+    saved = Certificate(digest, **{name: np.array(each) for name, each in columns.items()})
+    check_certificate(model, saved)
+    made = certify(model)
+    assert made.digest == digest
+    assert {name: getattr(made, name).tolist() for name in COLUMNS} == columns
 
 
 def test_names_rewards_and_ignored_rows_do_not_change_the_model() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from fractions import Fraction
 from itertools import product
 from typing import Any
@@ -13,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from dead_ends.correction import behavior_correction, corrected_model
+from dead_ends.correction import behavior_correction, corrected_model, safety_filter
+from dead_ends.io.environment_model import Ended, model_of_environment
 from dead_ends.labels import classify, safe_actions
 from dead_ends.model import Geometry, SafeMDP
 from dead_ends.policies import greedy_actions
@@ -164,6 +166,30 @@ def test_behavior_correction_names_what_is_wrong() -> None:
         behavior_correction(np.array([0]), Q, 0.5, np.array([0, 0]))
 
 
+def test_shares_too_need_a_recovery_that_is_available() -> None:
+    """A tiny share is enough; where nothing is blocked, or nothing can be done, it is not asked."""
+    Q = np.array([[0.0, 0.7, INF], [0.2, 0.3, 0.4], [INF, INF, INF]])
+    tiny = np.array([[1 - 1e-12, 1e-12, 0.0], [0.5, 0.25, 0.25], [0.0, 0.0, 1.0]])
+    single = np.array([2, 1, 0])
+    half = np.array([[0.5, 0.0, 0.5], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    refused = r"^recovery: state 0, action 2 is not available there \(Q = \+inf\)$"
+    for task, recovery in ((tiny, single), (tiny, half), (np.array([1, 0, 0]), half)):
+        with pytest.raises(ValueError, match=refused):
+            behavior_correction(task, Q, 0.5, recovery)
+    for task, recovery in ((np.eye(3), single), (np.eye(3), half), (np.array([0, 1, 2]), half)):
+        executed = behavior_correction(task, Q, 0.5, recovery)
+        assert executed[:2].tolist() == np.eye(3)[:2].tolist()
+
+
+def test_the_first_state_without_its_recovery_is_named() -> None:
+    Q = np.array([[0.0, INF, INF], [0.9, INF, 0.8], [0.9, 0.8, INF], [0.9, 0.8, INF]])
+    for task in (np.zeros(4, dtype=np.int64), np.eye(3)[[0, 0, 0, 0]]):
+        with pytest.raises(ValueError, match=r"^recovery: state 1, action 1 is not available"):
+            behavior_correction(task, Q, 0.5, np.array([1, 1, 2, 2]))
+        with pytest.raises(ValueError, match=r"^recovery: state 2, action 2 is not available"):
+            behavior_correction(task, Q, 0.5, np.array([1, 2, 2, 2]))
+
+
 @untimed
 @given(st.data())
 def test_integer_and_stochastic_forms_agree(data: st.DataObject) -> None:
@@ -285,6 +311,31 @@ def test_corrected_model_names_what_is_wrong() -> None:
         corrected_model(partial, np.zeros((2, 2)), 0.0, np.array([1, 0]))
 
 
+def test_the_recovery_is_only_needed_where_something_is_proposed_and_blocked() -> None:
+    """State 0 blocks nothing, 1 is a goal, 2 fails, 3 blocks: its recovery alone must exist."""
+    table = np.array([[0, -1], [1, 1], [2, 2], [-1, 2], [-1, 2]])
+    model = SafeMDP.deterministic(
+        table, np.arange(5) == 2, terminal=np.arange(5) == 1, action_names=["x", "y"]
+    )
+    Q = np.array([[0.0, INF], [0.9, 0.9], [INF, INF], [INF, 1.0], [INF, 1.0]])
+    corrected = corrected_model(model, Q, 0.5, np.array([1, 0, 0, 1, 1]))
+    assert corrected.successors().tolist() == model.successors().tolist()
+    with pytest.raises(ValueError, match=r"^state 3: the recovery policy takes action 0 \(x\),"):
+        corrected_model(model, Q, 0.5, np.array([1, 0, 0, 0, 0]))
+    with pytest.raises(ValueError, match=r"^state 4: the recovery policy takes action 0 \(x\),"):
+        corrected_model(model, Q, 0.5, np.array([1, 0, 0, 1, 0]))
+
+
+def test_a_recovery_action_that_does_not_exist_is_named_with_its_first_state() -> None:
+    model = rrl_counterexample()
+    for wrong, action in (([0, 0, -1, 2, 0], -1), ([0, 0, 2, -1, 5], 2)):
+        with pytest.raises(ValueError, match=rf"^recovery: state 2 \(d2\): action {action} is not"):
+            corrected_model(model, np.zeros((5, 2)), 0.5, np.array(wrong))
+    for shape in (np.zeros(4, dtype=int), np.zeros((5, 1), dtype=int), np.zeros(5)):
+        with pytest.raises(ValueError, match=r"^recovery must be integers of shape \(5,\), not "):
+            corrected_model(model, np.zeros((5, 2)), 0.5, shape)
+
+
 # Theorem 2 and its limits
 
 
@@ -375,3 +426,26 @@ def test_all_models_of_three_states_agree_on_when_recovery_rl_is_safe(
         assert any(stays)
         fails_by_a_tie |= not all(stays)
     assert fails_by_a_tie == by_a_tie
+
+
+def test_the_filter_of_a_model() -> None:
+    """Without a threshold it asks the graph alone, even where the critic sees no difference."""
+    model = SafeMDP.deterministic(
+        [[1, 0], [2, 2], [2, 2]],
+        np.arange(3) == 2,
+        state_names=["pier", "ice", "water"],
+        action_names=["go", "stay"],
+    )
+    blind = np.zeros((3, 2))
+    table = safety_filter(model, blind)
+    assert table.allowed.tolist() == [[False, True], [False, False], [False, False]]
+    assert table.recovery[0] == 1
+    assert (table.state_names, table.action_names) == (model.state_names, model.action_names)
+    assert (table.keys, table.metadata) == (None, {})
+    assert safety_filter(model).allowed.tolist() == table.allowed.tolist()
+    assert safety_filter(model, blind, 0.5).allowed.all()
+    assert safety_filter(replace(model, estimate=True)).metadata == {"estimate": True}
+    explored = model_of_environment(model, [0, (1, 2.5), Ended(0)], seed=3, table="abc")
+    keyed = safety_filter(explored, metadata={"made by": "a test"})
+    assert keyed.keys == ("0", "(1, 2.5)", "Ended(key=0)")
+    assert keyed.metadata == {"made by": "a test", "seed": 3, "table": "abc"}

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dead_ends import SafeMDP, load_filter, save_filter, save_model
+from dead_ends import FilterTable, SafeMDP, load_filter, save_filter, save_model
 from dead_ends.__main__ import main
 
 ROOT = Path(__file__).parents[1]
@@ -84,7 +84,7 @@ def test_each_format_has_a_command_that_runs(
 def test_the_runtime_needs_no_package_at_all(tmp_path: Path) -> None:
     (block,) = re.findall(r"```python\n(.*?)```", MODELS, re.DOTALL)
     allowed = np.random.default_rng(0).random((20, 3)) < 0.5
-    save_filter(tmp_path / "filter.json", allowed, np.arange(20) % 3)
+    save_filter(tmp_path / "filter.json", FilterTable(allowed, np.arange(20) % 3))
     table = load_filter(tmp_path / "filter.json")
     script = block + (
         "\nruntime = SafetyFilter('filter.json')\n"
@@ -105,10 +105,33 @@ def test_the_runtime_needs_no_package_at_all(tmp_path: Path) -> None:
 
 
 def test_the_examples_of_the_readme_run() -> None:
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     assert blocks
     for block in blocks:
         exec(block, {})  # the reader would, too
+
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_commands_of_the_readme_run_in_their_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In an empty folder: what one reads, an earlier one has written."""
+    monkeypatch.chdir(tmp_path)
+    commands = re.findall(r"^    python -m dead_ends (.*)$", README, re.MULTILINE)
+    assert len(commands) > 3
+    for command in commands:
+        assert main(shlex.split(command, comments=True)) == 0, command
+
+
+def test_the_first_line_of_the_readme_installs_what_its_commands_need() -> None:
+    installs = re.findall(r"^    pip install (?:-c \S+ )?-e (\S+)", README, re.MULTILINE)
+    assert installs == ['".[gym]"', '".[deep]"', '".[test]"']
+
+
+def test_the_cpu_wheel_is_advised_before_a_line_downloads_torch() -> None:
+    assert 0 < README.find("CPU wheel") < README.find('".[deep]"') < README.find('".[test]"')
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -1,5 +1,7 @@
 """Guess and verify where value iteration is hopeless; honest bounds where guesses fail."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -8,9 +10,192 @@ from scipy import sparse
 
 from dead_ends import enclosure, linear
 from dead_ends.bellman import value_iteration
+from dead_ends.enclosure import Enclosure, _sweep, check_width, enclose
 from dead_ends.linear import LinearSolver
 from dead_ends.model import SafeMDP
 from dead_ends.precision import UndecidedError
+from dead_ends.rounding import Csr, Float
+
+# As close as promised, with operators whose bounds are known
+
+
+@dataclass(frozen=True)
+class Affine:
+    """F(x) = M x + c; its roundings are given: error, and more with the distance from ``at``.
+
+    Without guesses its linear systems are singular, so that only sweeps are left.
+    """
+
+    matrix: Float
+    constant: Float
+    error: Float | float = 0.0
+    slope: Float | float = 0.0
+    at: Float | float = 0.0
+    guesses: bool = True
+
+    def value(self, x: Float) -> Float:
+        return self.matrix @ x + self.constant
+
+    def lower(self, x: Float) -> Float:
+        return self.value(x) - self._rounding(x)
+
+    def upper(self, x: Float) -> Float:
+        return self.value(x) + self._rounding(x)
+
+    def linear(self, _x: Float) -> tuple[Csr, Float]:
+        matrix = self.matrix if self.guesses else np.eye(len(self.constant))
+        return sparse.csr_array(matrix), self.constant
+
+    def _rounding(self, x: Float) -> Float:
+        return self.error + self.slope * np.abs(x - self.at).max()
+
+
+def one(rate: float, constant: float, **more: float) -> Affine:
+    """An operator of one number."""
+    return Affine(np.array([[rate]]), np.array([constant]), **more)
+
+
+def enclosed(
+    operator: Affine, tolerance: float, max_iterations: int = 10_000, upper: float = 1.0
+) -> Enclosure:
+    count = len(operator.constant)
+    return enclose(operator, np.zeros(count), np.full(count, upper), tolerance, max_iterations)
+
+
+@pytest.mark.parametrize(("constant", "value"), [(0.0, 0.0), (0.1, 1.0)])
+def test_sweeps_go_on_while_one_bound_moves(constant: float, value: float) -> None:
+    """F(x) = 0.9 x + c: one bound is right at once, the other is 0.9^n off after n sweeps."""
+    bounds = enclosed(one(0.9, constant, guesses=False), 1e-6)
+    assert bounds.iterations == 132  # 0.9^131 > 1e-6 >= 0.9^132
+    assert bounds.lower == pytest.approx(value - 0.9**132 * (value == 1), rel=1e-9)
+    assert bounds.upper == pytest.approx(value + 0.9**132 * (value == 0), rel=1e-9)
+    assert bounds.estimate == pytest.approx((bounds.lower + bounds.upper) / 2)
+
+
+def test_sweeps_end_once_neither_bound_moves() -> None:
+    bounds = enclosed(one(1.0, 0.0, guesses=False), 1e-6)
+    assert (bounds.lower, bounds.upper, bounds.iterations) == (0.0, 1.0, 21)
+
+
+@pytest.mark.parametrize("most", [1, 5, 20, 25])
+def test_no_more_sweeps_than_allowed(most: int) -> None:
+    bounds = enclosed(one(0.9, 0.0, guesses=False), 1e-6, most)
+    assert bounds.iterations == most
+    assert bounds.upper == pytest.approx(0.9**most, rel=1e-12)
+
+
+def test_no_more_sweeps_than_needed() -> None:
+    """20 to warm up; relative to values above 1: F(x) = 0.9 x + 1 from [0, 20] to 10."""
+    assert enclosed(one(0.5, 0.0, guesses=False), 2.0**-20).iterations == 20
+    assert enclosed(one(0.5, 0.0, guesses=False), 2.0**-21).iterations == 21
+    bounds = enclosed(one(0.9, 1.0, guesses=False), 0.1, upper=20.0)
+    widths = [20 * 0.9**n / (10 - 10 * 0.9**n) for n in (bounds.iterations - 1, bounds.iterations)]
+    assert widths[0] > 0.1 >= widths[1]
+
+
+def test_nothing_unknown_needs_no_sweep() -> None:
+    bounds = enclosed(Affine(np.zeros((0, 0)), np.zeros(0)), 1e-6)
+    assert (len(bounds.estimate), bounds.iterations) == (0, 0)
+
+
+def test_guesses_are_verified_within_twice_the_rounding_of_each_component() -> None:
+    """F = 0.99 x + 0.005 +- e: bounds of F +- 2 e are 1/2 +- 200 e, for each e its own."""
+    error = np.array([1e-6, 1e-9])
+    operator = Affine(np.diag([0.99, 0.99]), np.full(2, 0.005), error=error)
+    bounds = enclosed(operator, 1.0)
+    assert bounds.iterations == 20
+    assert bounds.upper - 0.5 == pytest.approx(200 * error, rel=1e-3)
+    assert 0.5 - bounds.lower == pytest.approx(200 * error, rel=1e-3)
+    assert bounds.estimate == pytest.approx(0.5, abs=1e-12)
+    # More sweeps would bring them to the bounds' own fixed points, 1/2 +- 100 e.
+    closer = enclosed(operator, 1e-12)
+    assert closer.upper - 0.5 == pytest.approx(100 * error, rel=1e-3)
+    assert 0.5 - closer.lower == pytest.approx(100 * error, rel=1e-3)
+
+
+@pytest.mark.parametrize(("share", "factor"), [(0.0, 1), (0.9, 8), (0.99, 64), (0.999, None)])
+def test_a_guess_that_is_not_verified_is_tried_farther_off(share: float, factor: float) -> None:
+    """The roundings grow with the distance; what F - 2 e cannot show F - 16 e may."""
+    operator = one(0.99, 0.005, error=1e-9, slope=share * 0.01, at=0.5)
+    bounds = enclosed(operator, 1.0)
+    if factor is None:
+        assert bounds.upper - bounds.lower > 0.5
+    else:
+        assert bounds.upper - 0.5 == pytest.approx(200e-9 * factor, rel=1e-3)
+        assert 0.5 - bounds.lower == pytest.approx(200e-9 * factor, rel=1e-3)
+
+
+def test_where_its_own_rounding_is_not_enough_the_greatest_is() -> None:
+    """x_1 = x_0 / 2 has no rounding at the guess, and some beside it."""
+    matrix = np.array([[0.99, 0.0], [0.5, 0.0]])
+    operator = Affine(
+        matrix,
+        np.array([0.005, 0.0]),
+        error=np.array([1e-9, 0.0]),
+        slope=np.array([0.0, 0.005]),
+        at=np.array([0.5, 0.25]),
+    )
+    bounds = enclosed(operator, 1.0)
+    expected = np.array([200e-9, 102e-9])
+    assert bounds.upper - [0.5, 0.25] == pytest.approx(expected, rel=1e-3)
+    assert [0.5, 0.25] - bounds.lower == pytest.approx(expected, rel=1e-3)
+
+
+def test_without_roundings_a_value_is_known_to_its_last_bit_or_two_and_zero_is_zero() -> None:
+    """F = (x_0 / 2, x_1 / 2 + 1/4): d is eps / 2 at x_1 = 1/2, so that F +- d is 1/2 +- eps."""
+    bounds = enclosed(Affine(np.diag([0.5, 0.5]), np.array([0.0, 0.25])), 1e-30, 20)
+    assert bounds.upper.tolist() == [0, 0.5 + 2.0**-52]
+    assert bounds.lower.tolist() == [0, 0.5 - 2.0**-52]
+    assert bounds.estimate.tolist() == [0, 0.5]
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-20])
+def test_policy_iteration_ends_once_nothing_changes(
+    size: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A linear operator is solved once; the second solve finds no change for its size."""
+    solves: list[str] = []
+
+    def counted(name: str) -> Callable[..., Float | None]:
+        solve = getattr(LinearSolver, name)
+
+        def counting(*args: object) -> Float | None:
+            solves.append(name)
+            return solve(*args)
+
+        return counting
+
+    for name in ("quickly", "carefully"):
+        monkeypatch.setattr(LinearSolver, name, counted(name))
+    enclosed(one(0.9, 0.05 * size), 1e-12)
+    assert solves == ["quickly"] * 2 + ["carefully"] * (1 + 2)  # and one for each bound
+
+
+def test_bounds_never_get_worse_and_never_cross() -> None:
+    for rate, constant in ((2.0, 0.0), (0.5, 0.0), (0.5, 1.0)):
+        at = np.array([1.0])
+        lower, upper = _sweep(one(rate, constant), at, at)
+        assert lower == upper == min(1.0, rate + constant)
+
+
+def test_the_widest_place_is_named_with_its_bounds() -> None:
+    def found(lower: list[float], upper: list[float]) -> Enclosure:
+        return Enclosure(np.array(lower), np.array(lower), np.array(upper), 7, 0.0)
+
+    bounds = found([0.0, 0.125, 2.0], [0.25, 0.625, 2.75])
+    check_width(bounds, 0.5, str)
+    message = r"^after 7 sweeps the value of 1 is only known to lie in \[0.125, 0.625\]"
+    with pytest.raises(UndecidedError, match=message):
+        check_width(bounds, 0.4, str)
+    check_width(found([2.0], [3.0]), 0.5, str)
+    with pytest.raises(UndecidedError, match=r"the value of 0 is only known to lie in \[2, 3\]"):
+        check_width(found([2.0], [3.0]), 0.49, str)
+    with pytest.raises(UndecidedError, match="the value of 0 is"):
+        check_width(found([0.0], [np.nan]), 0.5, str)
+    check_width(found([], []), 0.5, str)
+
+
+# Where value iteration is hopeless
 
 
 def walk(size: int, up: float) -> SafeMDP:

@@ -321,3 +321,19 @@ def test_the_mark_survives_being_stepped() -> None:
     env = SafeMDPEnv(estimate_model(4, 2, DATA, FAIL, initial=[0]))
     assert load_gymnasium(env).estimate
     assert load_gymnasium(env, fail_states=[2]).estimate
+
+
+@pytest.mark.parametrize("name", ["transitions", "fail", "rewards", "terminated"])
+def test_nothing_may_be_masked(name: str) -> None:
+    """What is masked is not known; read as if it were, it would be a transition."""
+    log: dict[str, Any] = {
+        "transitions": np.array([[0, 0, 1], [0, 1, 0]]),
+        "fail": np.array([False, True]),
+        "rewards": np.zeros(2),
+        "terminated": np.zeros(2, dtype=bool),
+    }
+    mask = np.zeros(log[name].shape, dtype=bool)
+    mask[1] = True
+    log[name] = np.ma.array(log[name], mask=mask)
+    with pytest.raises(ValueError, match=rf"^{name}\[1(, 0)?\] is masked"):
+        estimate_model(2, 2, **log)

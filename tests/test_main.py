@@ -6,6 +6,7 @@ import os
 import resource
 import subprocess
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from dead_ends.__main__ import main
 from dead_ends.io import load_model
 from dead_ends.io.filter_table import load_filter
 from dead_ends.labels import classify
+from dead_ends.model import SafeMDP
 
 PYTHON = [sys.executable, "-m", "dead_ends"]
 
@@ -92,6 +94,7 @@ def test_label_json(capsys: pytest.CaptureFixture[str], corridor: str) -> None:
     assert summary == {
         "kind": "deterministic",
         "estimate": False,
+        "seed": None,
         "states": 4,
         "actions": 2,
         "fail": 1,
@@ -160,6 +163,29 @@ def test_label_files(capsys: pytest.CaptureFixture[str], corridor: str, tmp_path
         assert np.array_equal(arrays["labels"], labelling.labels)
         assert np.array_equal(arrays["survival_time"], labelling.survival_time)
         assert json.loads(str(arrays["summary"])) == content["summary"]
+
+
+def test_the_seed_of_a_layout_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("minigrid", reason="minigrid is not installed")
+    said = []
+    for words in ([], ["--seed", "1"]):
+        _, out, _ = run(capsys, "label", "MiniGrid-LavaGapS5-v0", *words)
+        said.append(out.splitlines()[0])
+    kind = "MiniGrid-LavaGapS5-v0: deterministic, 7 actions, reset with seed"
+    assert said == [f"{kind} 0", f"{kind} 1"]
+
+
+def test_normalise(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "six.tra"
+    path.write_text("3 5\n0 0 0.333333\n0 1 0.333333\n0 2 0.333333\n1 1 1\n2 2 1\n")
+    source = ["label", str(path), "--fail-states", "1"]
+    assert "line 2: state 0, choice 0: probabilities sum to 0.999999, not 1; normalise" in fails(
+        capsys, *source
+    )
+    status, out, err = run(capsys, *source, "--normalise")
+    assert (status, err) == (0, "")
+    assert "  rows normalised               1\n" in out
+    assert json.loads(run(capsys, *source, "--normalise", "--json")[1])["rows_normalised"] == 1
 
 
 def test_convert(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -287,10 +313,15 @@ def test_explain_json_of_a_state_at_risk(capsys: pytest.CaptureFixture[str]) -> 
         (["label", "NoSuchLake-v1"], "NoSuchLake-v1: "),
         (["label", "Taxi-v4"], "Taxi-v4: which states fail is not known"),
         (["label", "CartPole-v1"], "CartPole-v1: the environment has no transition table P"),
+        (["label", "FrozenLake-v1", "--seed", "1"], "seed (--seed) means nothing for this kind"),
+        (["label", "FrozenLake-v1", "--seed", "-1"], "'-1' is not a seed such as 0, 1 or 2"),
         (["label", "Taxi-v4", "--fail-if", "x"], "condition 'x': unknown name 'x'"),
         (["label", "Taxi-v4", "--fail-label", "x"], "fail_label (--fail-label) means nothing"),
         (["label", "Taxi-v4", "--fail-states", "5,x"], "'x' is neither a state nor a range"),
         (["label", "Taxi-v4", "--fail-states", "0-99999999999"], "are too many states to list"),
+        (["label", "Taxi-v4", "--fail-states", "0-" + "9" * 5000], "too many digits for a state"),
+        (["label", "Taxi-v4", "--fail-states", "1,12-11"], "'12-11' is no range: 11 comes before"),
+        (["label", "Taxi-v4", "--fail-states", "1-9,0-9999999"], "are too many states to list"),
         (["label", "Taxi-v4", "--fail-states", "500"], "500 is not a state (0 to 499)"),
         (["label", "Taxi-v4", "--env-arg", "is_rainy"], "'is_rainy' is not of the form KEY=VALUE"),
         (["label", "Taxi-v4", "--env-arg", "wind=1"], "Taxi-v4: "),
@@ -321,6 +352,61 @@ def test_bad_input_is_one_line(
     monkeypatch.chdir(tmp_path)
     assert message in fails(capsys, *arguments)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("command", ["label", "certify", "export", "convert", "explain", "report"])
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [
+        ("--fail-if", "r <= -1000", "no transition satisfies 'r <= -1000'"),
+        ("--fail-label", "crash", "no state carries the label 'crash'"),
+    ],
+)
+def test_what_selects_no_state_is_said(
+    command: str,
+    option: str,
+    value: str,
+    said: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "model.tra"
+    path.write_text("2 3 3\n0 0 0 1\n0 1 1 1\n1 0 1 1\n")
+    path.with_suffix(".lab").write_text('0="init" 1="fail" 2="crash"\n0: 0\n1: 1\n')
+    source = "CliffWalking-v1" if option == "--fail-if" else str(path)
+    suffix = {"export": "npz", "convert": "npz", "certify": "npz", "report": "html"}.get(command)
+    out = ["--out", str(tmp_path / f"out.{suffix}")] if suffix else []
+    more = ["0"] if command == "explain" else out
+    status, _, err = run(capsys, command, source, *more, option, value)
+    assert status == 0
+    assert err == f"dead-ends: {source}: {said}, so that failure by it is impossible\n"
+
+
+def test_options_that_say_which_states_fail_may_be_repeated(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def summary(*words: str) -> Any:
+        status, out, err = run(capsys, "label", "CliffWalking-v1", "--json", *words)
+        assert (status, err) == (0, "")
+        return json.loads(out)["fail"]
+
+    assert summary("--fail-states", "1,3-4", "--fail-states", "4-6") == 5
+    assert summary("--fail-if", "r <= -100", "--fail-if", "s == 0 and s2 == 1") == 1
+    assert summary("--fail-if", "r <= -1000", "--fail-if", "s == 0 and s2 == 1") == 1
+
+
+def test_other_warnings_are_shown(
+    capsys: pytest.CaptureFixture[str], corridor: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = load_model(corridor)
+
+    def load_and_warn(*_: Any, **__: Any) -> SafeMDP:
+        warnings.warn("of something else", stacklevel=1)
+        return model
+
+    monkeypatch.setattr("dead_ends.io.load_model", load_and_warn)
+    with pytest.warns(UserWarning, match="of something else"):
+        assert run(capsys, "label", corridor)[0] == 0
 
 
 def test_unnamed_states(capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from decimal import Decimal
 from fractions import Fraction
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from scipy import sparse
 
 from dead_ends import Geometry, SafeMDP, value_iteration
+from dead_ends.model_input import ExactEntries
 
 FAIL_LAST = np.array([False, False, True])
 CHAIN = np.array([[0, 1], [2, 2], [0, 0]], dtype=np.int32)
@@ -327,3 +329,274 @@ def test_geometry_needs_two_columns() -> None:
 def test_successors_are_for_tables_only() -> None:
     with pytest.raises(ValueError, match="the model is stochastic"):
         SafeMDP.stochastic(uniform_kernel(3, 1), FAIL_LAST).successors()
+
+
+SIX_DIGITS = [0.25, 0.333333, 0.416666]
+
+
+def one_row(row: object, **options: object) -> SafeMDP:
+    """State 0 has this row, 1 and 2 stay and 2 fails."""
+    P = np.zeros((3, 1, 3), dtype=getattr(row, "dtype", object))
+    P[0, 0], P[1, 0, 1] = row, P.dtype.type(1) if P.dtype != object else 1
+    return SafeMDP.stochastic(P, FAIL_LAST, **options)
+
+
+class TestRowsThatMissOne:
+    """By six digits or single precision: mended only where that is asked for, and counted."""
+
+    @pytest.mark.parametrize(
+        "row",
+        [
+            np.array(SIX_DIGITS),
+            np.array([1 / 3] * 3, dtype=np.float32),
+            np.array([0.1, 0.9, 0], dtype=np.float32),
+            [Fraction(str(p)) for p in SIX_DIGITS],
+            SIX_DIGITS,
+        ],
+        ids=["six digits", "thirds", "tenths", "fractions", "objects"],
+    )
+    def test_refused_by_name_or_mended(self, row: object) -> None:
+        with pytest.raises(
+            ValueError,
+            match=r"^state 0, action 0: probabilities sum to \S+, not (exactly )?1; "
+            r"normalise=True \(--normalise\) divides such probabilities by their sum$",
+        ):
+            one_row(row)
+        model = one_row(row, normalise=True)
+        given = [Fraction(p) if isinstance(p, Fraction) else Fraction(repr(float(p))) for p in row]
+        quotients = [p / sum(given) for p in given if p]
+        assert model.transitions().data[:-1] == pytest.approx(
+            list(map(float, quotients)), rel=4e-16
+        )
+        if isinstance(row, list):
+            assert model.exact == (*quotients, Fraction(1))
+        assert sum(model.exact_probabilities()[:-1]) == 1
+        assert model.normalised == 1
+        assert repr(model).endswith("1 fail, 0 terminal, 1 rows normalised)")
+
+    def test_thirds_of_six_digits_are_exact_thirds(self) -> None:
+        model = one_row(np.array([0.333333] * 3), normalise=True)
+        assert model.exact_probabilities()[:3] == (Fraction(1, 3),) * 3
+
+    @pytest.mark.parametrize("off", [1.1e-6, -1.1e-6, 0.5, -0.5, np.nan])
+    @pytest.mark.parametrize("number", [float, Fraction])
+    def test_what_misses_one_by_more_is_a_mistake(self, off: float, number: type) -> None:
+        if number is Fraction and np.isnan(off):
+            return
+        row = np.array([number(0.5), number(0.5 + off), number(0)])
+        for options in ({}, {"normalise": True}):
+            with pytest.raises(ValueError, match="^state 0, action 0: probabilit") as caught:
+                one_row(row, **options)
+            assert "--normalise" not in str(caught.value)
+
+    @pytest.mark.parametrize("off", [0.9e-6, -0.9e-6])
+    def test_as_far_as_promised(self, off: float) -> None:
+        assert one_row(np.array([0.5, 0.5 + off, 0]), normalise=True).normalised == 1
+
+    def test_rows_that_are_right_stay_to_the_bit(self) -> None:
+        row = np.array([0.1, 0.2, 0.7 + 5e-10])
+        model = one_row(row, normalise=True)
+        assert model.transitions().data[:3].tolist() == row.tolist()
+        assert model.normalised == 0
+        assert "normalised" not in repr(model)
+        assert one_row(row).normalised is None
+
+    def test_the_initial_distribution(self) -> None:
+        initial = np.array([1 / 3] * 3, dtype=np.float32)
+        with pytest.raises(ValueError, match="^initial: probabilities sum to .*--normalise"):
+            SafeMDP.deterministic(CHAIN.copy(), FAIL_LAST, initial=initial)
+        model = SafeMDP.deterministic(CHAIN.copy(), FAIL_LAST, initial=initial, normalise=True)
+        assert model.initial == pytest.approx([1 / 3] * 3, rel=4e-16)
+        assert model.normalised == 1
+        both = one_row(np.array(SIX_DIGITS), initial=initial, normalise=True)
+        assert both.normalised == 2
+
+    def test_six_digits_of_many_entries_miss_by_more(self) -> None:
+        P = np.zeros((7, 1, 7))
+        P[0, 0, :6] = 0.166667
+        fail = np.arange(7) > 0
+        model = SafeMDP.stochastic(P, fail, normalise=True)
+        assert model.exact_probabilities() == (Fraction(1, 6),) * 6
+        P[0, 0, 6] = 2e-6
+        with pytest.raises(ValueError, match="sum to 1.000004, not 1$"):
+            SafeMDP.stochastic(P, fail, normalise=True)
+
+
+class TestMaskedArrays:
+    """A masked action is one that is not there; anything else that is masked is refused."""
+
+    def test_a_masked_successor(self) -> None:
+        for kind in (np.int32, np.int64, np.uint64):
+            table = np.ma.array(CHAIN.astype(kind), mask=[[0, 1], [0, 0], [1, 1]])
+            model = SafeMDP.deterministic(table, FAIL_LAST)
+            assert model.successors().tolist() == [[0, -1], [2, 2], [-1, -1]]
+            rows = SafeMDP.deterministic(list(table), FAIL_LAST)
+            assert rows.available.tolist() == model.available.tolist()
+        assert SafeMDP.deterministic(np.ma.array(CHAIN), FAIL_LAST).available[0].all()
+        with pytest.raises(ValueError, match="state 0 has no action"):
+            SafeMDP.deterministic(np.ma.array(CHAIN, mask=[[1, 1], [0, 0], [0, 0]]), FAIL_LAST)
+
+    @pytest.mark.parametrize("dtype", [np.float64, object])
+    def test_a_masked_row(self, dtype: type) -> None:
+        P = np.zeros((3, 2, 3), dtype=dtype)
+        P[:2, :, 1] = dtype(1) if dtype is not object else Fraction(1)
+        mask = np.zeros(P.shape, dtype=bool)
+        mask[0, 1], mask[2, 0, 1] = True, True  # in part in a fail state, where nothing counts
+        model = SafeMDP.stochastic(np.ma.array(P, mask=mask), FAIL_LAST)
+        assert model.available.tolist() == [[True, False], [True, True], [False, False]]
+        with pytest.raises(ValueError, match="^state 0, action 1: .* masked .*, but is available$"):
+            SafeMDP.stochastic(np.ma.array(P, mask=mask), FAIL_LAST, np.ones((3, 2), dtype=bool))
+        mask[1, 0, 0] = True
+        with pytest.raises(ValueError, match="^state 1, action 0: .* is not masked as a whole$"):
+            SafeMDP.stochastic(np.ma.array(P, mask=mask), FAIL_LAST)
+        again = SafeMDP.stochastic(
+            np.ma.array(P, mask=mask), FAIL_LAST, np.array([[1, 0], [0, 1], [0, 0]]) == 1
+        )
+        assert again.available.tolist() == [[True, False], [False, True], [False, False]]
+
+    @pytest.mark.parametrize("name", ["terminal", "rewards", "initial", "fail", "available"])
+    def test_nothing_else_can_be_missing(self, name: str) -> None:
+        whole: dict[str, np.ndarray] = {
+            "fail": FAIL_LAST,
+            "terminal": np.zeros(3, dtype=bool),
+            "rewards": np.zeros((3, 2)),
+            "initial": np.array([1.0, 0.0, 0.0]),
+            "available": np.ones((3, 2), dtype=bool),
+        }
+        whole[name] = np.ma.array(
+            whole[name], mask=np.arange(whole[name].size).reshape(whole[name].shape) == 1
+        )
+        place = "0, 1" if whole[name].ndim == 2 else "1"
+        with pytest.raises(ValueError, match=rf"^{name}\[{place}\] is masked, and must be known$"):
+            SafeMDP.stochastic(uniform_kernel(3, 2), **whole)
+        if name != "available":
+            del whole["available"]
+            with pytest.raises(ValueError, match=rf"^{name}\[{place}\] is masked"):
+                SafeMDP.deterministic(CHAIN.copy(), **whole)
+
+
+HUGE = 10**400
+
+
+@pytest.mark.parametrize(
+    ("P", "message"),
+    [
+        (uniform_kernel(3, 2).transpose(1, 0, 2), "if it is (A, S, S), pass P.transpose(1, 0, 2)"),
+        (uniform_kernel(3, 2).transpose(0, 2, 1), "if it is (S, S, A), pass P.transpose(0, 2, 1)"),
+        ([sparse.eye_array(3).tocsr()] * 2, "P is a list of sparse matrices"),
+        ([[[1.0, 0.0, 0.0], [1.0]]], "P is not an array: "),
+        (None, "P must be dense with shape (S, A, S) or scipy.sparse"),
+        (np.zeros((3, 2, 3), dtype=[("p", float)]), "not [('p', '<f8')]"),
+        (uniform_kernel(3, 2).astype(complex), "not complex128"),
+        (uniform_kernel(3, 2).astype(np.float16), "state 0, action 0: probabilities sum to 0.9997"),
+        (np.full((3, 2, 3), 2**62), "state 0, action 0: probabilities sum to 1.3835"),
+        (np.full((3, 2, 3), HUGE, dtype=object), "probabilities sum to about 2**1330, not exactly"),
+        (np.full((3, 2, 3), 1 << 10**7, dtype=object), "a probability with more than 10,000 bits"),
+        (np.full((3, 2, 3), Fraction(1, 1 << 10**7), dtype=object), "more than 10,000 bits"),
+        (np.full((3, 2, 3), Fraction(-HUGE), dtype=object), "negative probability about -2**13"),
+        (np.full((3, 2, 3), Decimal("1e999999999"), dtype=object), "is not a probability"),
+        (np.full((3, 2, 3), "1e-999999999", dtype=object), "is not a probability"),
+        (np.full((3, 2, 3), Decimal("Infinity"), dtype=object), "'Infinity' is not a probability"),
+        (np.full((3, 2, 3), np.nan, dtype=object), "'nan' is not a probability"),
+        (np.full((3, 2, 3), 1j, dtype=object), "'1j' is not a probability"),
+        (np.full((3, 2, 3), None), "'None' is not a probability"),
+    ],
+)
+def test_odd_kernels_are_refused_soon(P: object, message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)) as caught:
+        SafeMDP.stochastic(P, FAIL_LAST)
+    assert len(str(caught.value)) < 300
+
+
+def test_arrays_among_fractions() -> None:
+    P = np.full((3, 1, 3), Fraction(1, 3), dtype=object)
+    P[0, 0, 0] = np.arange(2)
+    with pytest.raises(ValueError, match="P holds objects that are no numbers"):
+        SafeMDP.stochastic(P, FAIL_LAST)
+
+
+def test_odd_numbers_that_are_read_right() -> None:
+    """As text, as decimals, as NumPy's integers, whose products would overflow."""
+    for third in ("1/3", Fraction(np.int64(1), np.int64(3))):
+        P = np.array([[[third, "2/3"]], [[np.int64(0), True]]], dtype=object)
+        model = SafeMDP.stochastic(P, np.array([False, False]))
+        assert model.exact == (Fraction(1, 3), Fraction(2, 3), Fraction(1))
+        assert all(type(p.numerator) is int for p in model.exact)
+    P = np.array([[[np.float32(0.5), Decimal("0.5")]]] * 2, dtype=object)
+    P[:, 0, 0], P[:, 0, 1] = Decimal("0.1"), np.float64(0.9)
+    assert SafeMDP.stochastic(P, np.array([False, True])).exact == (
+        Fraction(1, 10),
+        Fraction(9, 10),
+    )
+
+
+@pytest.mark.parametrize("number", [float, Fraction])
+def test_a_negative_zero_is_a_zero(number: type) -> None:
+    P = np.array([[[-0.0, number(1)]], [[-0.0, number(1)]]])
+    model = SafeMDP.stochastic(P, np.array([False, False]), initial=[-0.0, 1.0])
+    assert model.transitions().nnz == 2
+    assert model.initial is not None
+    assert not np.signbit(model.initial).any()
+
+
+@pytest.mark.parametrize(
+    ("next_state", "message"),
+    [
+        (
+            CHAIN.T,
+            "not (3,); if next_state is (A, S), pass next_state.T",
+        ),
+        (CHAIN.astype("m8[s]"), "next_state must hold integers, not timedelta64[s]"),
+        (CHAIN.astype(object), "next_state must hold integers, not object"),
+        ([[2**70, 1], [2, 2], [0, 0]], "next_state must hold integers, not object"),
+        (np.full((3, 2), 2**64 - 1, dtype=np.uint64), "successor 18446744073709551615 is not"),
+        (
+            np.ma.array(np.full((3, 2), 2**64 - 1, dtype=np.uint64), mask=np.eye(3, 2)),
+            "successor 2147483647 is",
+        ),
+        ([[0, 1], [2]], "next_state is not an array: "),
+        (CHAIN > 0, "next_state must hold integers, not bool"),
+    ],
+)
+def test_odd_tables_are_refused(next_state: object, message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        SafeMDP.deterministic(next_state, FAIL_LAST)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"rewards": np.full((3, 2), 1j)}, "rewards must hold real numbers, not complex128"),
+        ({"rewards": CHAIN.astype("M8[s]")}, "rewards must hold real numbers, not datetime64[s]"),
+        (
+            {"rewards": np.full((3, 2), HUGE, dtype=object)},
+            "rewards must hold real numbers: int too",
+        ),
+        (
+            {"initial": np.array([1, 0, 0], "m8[s]")},
+            "initial must hold real numbers, not time",
+        ),
+        ({"initial": np.array([1j, 0, 0])}, "initial must hold real numbers, not complex128"),
+        ({"initial": [HUGE, 0, 0]}, "initial must hold real numbers: int too large"),
+        ({"initial": [np.inf, 0, 0]}, "initial: probabilities sum to inf, not 1"),
+        ({"initial": [np.nan, 1, 0]}, "initial: state 0 has probability nan"),
+    ],
+)
+def test_odd_options_are_refused(options: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        SafeMDP.deterministic(CHAIN.copy(), FAIL_LAST, **options)
+
+
+def test_large_exact_models_need_no_dense_array() -> None:
+    """Dense, this one would fill 3 GB."""
+    n = 20_000
+    entries = ExactEntries(
+        row=np.repeat(np.arange(n), 3),
+        column=np.column_stack([np.arange(n), np.zeros(n, int), np.zeros(n, int)]).ravel(),
+        value=np.array([Fraction(1, 3)] * (3 * n), dtype=object),
+        shape=(n, n),
+    )
+    model = SafeMDP.stochastic(entries, np.arange(n) == n - 1)
+    assert model.exact is not None
+    assert model.exact[:3] == (Fraction(1), Fraction(2, 3), Fraction(1, 3))
+    assert model.transitions().indices[:3].tolist() == [0, 0, 1]

@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 
 from dead_ends.labels import classify, safe_actions
 from dead_ends.model import SafeMDP
-from dead_ends.planning import PlanResult, plan, price_of_conservatism
+from dead_ends.planning import PlanResult, _Bellman, plan, price_of_conservatism
 
 
 def corridor(length: int, gamma: float) -> SafeMDP:
@@ -84,6 +84,98 @@ def assert_optimal(model: SafeMDP, result: PlanResult, allowed: NDArray[np.bool_
     assert np.abs(attained - expected).max() < 1e-12
     safe = np.flatnonzero(classify(model).paper_safe & ~model.terminal)
     assert allowed[safe, result.policy[safe]].all()
+
+
+# The error bound: as tight as its formula, and each of its terms is needed
+
+
+def loop(reward: float, row: float = 1.0) -> SafeMDP:
+    """One state that pays for ever."""
+    P = np.array([[[row]]])
+    return SafeMDP.stochastic(P, np.array([False]), rewards=[[reward]], initial=[0])
+
+
+def bellman(model: SafeMDP, gamma: float) -> _Bellman:
+    """T of a model without constraints."""
+    assert model.rewards is not None
+    acting = ~(model.fail | model.terminal)
+    return _Bellman(
+        model.transitions(), model.rewards, model.available & acting[:, None], acting, gamma
+    )
+
+
+@pytest.mark.parametrize("reward", [1.0, -1.0])
+def test_what_is_left_of_an_exact_answer_is_rounding(reward: float) -> None:
+    """V = 2 at gamma = 1/2 without any error: (1 + 4) eps (|r| + |V|) / (1 - 1/2)."""
+    result = plan(loop(reward), None, 0.5)
+    assert result.J == 2 * reward
+    assert result.error_bound == pytest.approx(5 * 3 * 2.0**-52 / 0.5, rel=1e-12)
+
+
+def test_the_longest_row_has_the_most_roundings() -> None:
+    P = np.array([[[1, 0, 0]], [[0.25, 0.5, 0.25]], [[0, 0.5, 0.5]]])
+    model = SafeMDP.stochastic(P, np.zeros(3, dtype=bool), rewards=[[1], [1], [1]], initial=[0])
+    bound = bellman(model, 0.5).error_bound(np.full(3, 2.0))
+    assert bound == pytest.approx((3 + 4) * 3 * 2.0**-52 / 0.5, rel=1e-12)
+
+
+@pytest.mark.parametrize("wrong", [1e-3, -1e-3, 1.0, -1.0])
+@pytest.mark.parametrize(("gamma", "row"), [(0.5, 1.0), (0.99, 1.0), (1 - 1e-8, 1 + 9e-10)])
+def test_the_error_bound_is_the_error_where_all_are_wrong_alike(
+    wrong: float, gamma: float, row: float
+) -> None:
+    """T (V* + c) = V* + gamma p c in the loop: the bound is |c|, whatever the sign of c."""
+    operator = bellman(loop(1 - gamma * row, row), gamma)
+    bound = operator.error_bound(np.array([1 + wrong]))
+    assert abs(wrong) <= bound <= abs(wrong) * (1 + 1e-3)
+
+
+def test_the_error_bound_covers_the_worst_state_not_the_mean() -> None:
+    """Off V* = (2, 4) by (0, 1): T V - V = (0, -1/2)."""
+    table = np.array([[0], [1]])
+    model = SafeMDP.deterministic(
+        table, np.array([False, False]), rewards=[[1.0], [2.0]], initial=[0]
+    )
+    assert bellman(model, 0.5).error_bound(np.array([2.0, 5.0])) == pytest.approx(1, rel=1e-12)
+    assert bellman(model, 0.5).error_bound(np.array([2.0, 3.0])) == pytest.approx(1, rel=1e-12)
+
+
+def test_random_guesses_are_within_their_error_bound() -> None:
+    """And the bound is at most (1 + gamma) / (1 - gamma) times the error."""
+    rng = np.random.default_rng(4)
+    for _ in range(30):
+        model = random_model(rng)
+        best = by_brute_force(model, np.ones((5, 2), dtype=np.bool_), 0.9)
+        guess = best + np.where(best == 0, 0, rng.normal(size=5) * 10.0 ** rng.integers(-6, 3))
+        bound = bellman(model, 0.9).error_bound(guess)
+        error = np.abs(guess - best).max()
+        assert error <= bound <= error * 19 + 1e-12
+
+
+def test_no_better_policy_is_left() -> None:
+    """The greedy policy of the values is the policy, up to what rounding may gain."""
+    rng = np.random.default_rng(5)
+    for _ in range(30):
+        model = random_model(rng)
+        result = plan(model, None, 0.9)
+        operator = bellman(model, 0.9)
+        assert np.array_equal(operator.improve(result.values, result.policy), result.policy)
+        assert np.abs(operator.sweep(result.values) - result.values).max() < 1e-13
+
+
+def test_ties_keep_their_action_and_gains_do_not() -> None:
+    rewards = [[1.0, 1.0, 1.0 + 1e-15, 1.0 + 1e-13]]
+    model = SafeMDP.deterministic(np.zeros((1, 4), dtype=int), np.array([False]), rewards=rewards)
+    operator = bellman(model, 0.5)
+    assert operator.improve(np.array([2.0]), np.array([1])).tolist() == [3]
+    narrow = SafeMDP.deterministic(
+        np.zeros((1, 3), dtype=int), np.array([False]), rewards=[rewards[0][:3]]
+    )
+    for kept in range(3):
+        assert bellman(narrow, 0.5).improve(np.array([2.0]), np.array([kept])).tolist() == [kept]
+
+
+# Best returns
 
 
 def test_random_models_agree_with_brute_force_over_policies() -> None:
@@ -234,6 +326,15 @@ def test_the_price_of_conservatism_on_the_narrow_road() -> None:
     # At eps = 1 = gamma^H_b RRL too sees the road; above it even the cliff is allowed.
     assert price_of_conservatism(narrow_road(), first_action, 0.5, 1.0, 0.5).task_set.J == 7.0
     assert price_of_conservatism(narrow_road(), first_action, 0.5, 1.1, 0.5).task_set.J == 100.0
+
+
+def test_rewards_are_discounted_by_a_hundredth_if_nothing_is_said() -> None:
+    first_action = np.zeros(5, dtype=np.int64)
+    price = price_of_conservatism(narrow_road(), first_action, 0.5, 0.5)
+    assert price.recovery_set.J == 2 + 0.99 * 10
+    assert price.task_set.J == 1 + 0.99 * 1
+    assert plan(narrow_road()).J == 100
+    assert plan(loop(1.0)).J == pytest.approx(100, rel=1e-12)
 
 
 def test_an_empty_set_and_a_loop_that_fails() -> None:

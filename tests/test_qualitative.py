@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dead_ends import INFINITE, Label, SafeMDP, classify, safe_actions
+from dead_ends import INFINITE, Label, SafeMDP, classify, qualitative, safe_actions
+from dead_ends.qualitative import _p_min_zero, _predecessors, _reaching, _width
 
 F, D, S, R = Label.FAIL, Label.DEAD, Label.SAFE, Label.AT_RISK
 
@@ -181,6 +182,10 @@ SMALL = {
         ({0: [{3: 0.99, 2: 0.01}, {1: 1.0}], 1: [{3: 1.0}]}, 4, 3),
         ([R, D, S, F], [INFINITE, 1, INFINITE, 0], 1),
     ),
+    "a choice with two bad successors is one choice less, not two": (
+        ({0: [{2: 0.5, 1: 0.5}, {0: 1.0}], 1: [{2: 1.0}]}, 3, 2),
+        ([S, D, F], [INFINITE, 1, 0], 1),
+    ),
     "dead for certain, with chance only in how long it takes": (
         ({0: [{1: 0.5, 4: 0.5}], 1: [{2: 0.5, 4: 0.5}], 2: [{4: 1.0}]}, 5, 4),
         ([D, D, D, S, F], [3, 2, 1, INFINITE, 0], 3),
@@ -222,3 +227,74 @@ def test_probabilities_that_underflow_in_a_product_still_count() -> None:
     # The goal is reached with probability 1e-300 ** 3 = 0 in floating point.
     tiny = {s: [{s + 1: 1e-300, 4: 1 - 1e-300}] for s in range(3)}
     assert classify(stochastic(tiny, 5, 4)).labels.tolist() == [R, R, R, S, F]
+
+
+# Beyond 32-bit integers
+
+
+def test_choices_are_as_wide_as_they_need_to_be() -> None:
+    """Numbers up to R - 1; a model of so many choices does not fit a test."""
+    assert _width(1) is np.int32
+    assert _width(2**31 - 1) is np.int32
+    assert _width(2**31 + 1) is np.int64
+    assert np.iinfo(_width(2**31)).max >= 2**31 - 1
+
+
+def test_it_is_choices_that_are_numbered_not_states(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    def wide(num_choices: int) -> type[np.int64]:
+        asked.append(num_choices)
+        return np.int64
+
+    monkeypatch.setattr(qualitative, "_width", wide)
+    model = stochastic({0: [{2: 0.1, 1: 0.9}, {0: 1.0}]}, 3, 2)
+    assert qualitative.qualitative_labels(model).tolist() == [S, S, F]
+    assert asked == [3 * 2]
+
+
+@settings(max_examples=50, deadline=None)
+@given(kernels())
+def test_the_width_of_choices_changes_no_label(model: SafeMDP) -> None:
+    kernel = model.transitions()
+    available = np.diff(kernel.indptr) > 0
+    found = []
+    for width in (np.int32, np.int64):
+        choices = np.full(kernel.nnz, -1, dtype=width)
+        starts = _predecessors(kernel.indices, kernel.indptr, model.num_states, choices)
+        zero = _p_min_zero(starts, choices, available, model.num_actions, model.fail)
+        found.append((starts, choices, zero, _reaching(starts, choices, zero, model.num_actions)))
+    for narrow, wide in zip(*found, strict=True):
+        assert np.array_equal(narrow, wide)
+
+
+def test_predecessors_are_the_transposed_kernel() -> None:
+    """Rows 0 to 3 of two states: 0 -> {0, 2}, 1 -> {2}, 2 none, 3 -> {1, 2}."""
+    indices, indptr = np.array([0, 2, 2, 1, 2], dtype=np.int32), np.array([0, 2, 3, 3, 5])
+    choices = np.empty(5, dtype=np.int64)
+    assert _predecessors(indices, indptr, 3, choices).tolist() == [0, 1, 2, 5]
+    assert choices.tolist() == [0, 3, 0, 1, 3]
+
+
+def test_only_what_leads_to_the_target_reaches_it() -> None:
+    """1 -> 0, and a chain 99 -> 98 -> ... -> 2, with the target at its end."""
+    chain = np.concatenate(([-1, 0, -1], np.arange(2, 99)))
+    choices = np.array([np.flatnonzero(chain == t)[0] for t in range(100) if t in chain])
+    starts = np.concatenate(([0], np.cumsum(np.isin(np.arange(100), chain))))
+    reached = _reaching(starts, choices, np.arange(100) == 2, 1)
+    assert np.array_equal(reached, np.arange(100) >= 2)
+
+
+def test_a_stack_of_all_states_is_large_enough() -> None:
+    """Nine states lead to the last; in plain Python, where every index is checked."""
+    starts, choices, last = np.array([0] * 10 + [9]), np.arange(9), np.arange(10) == 9
+    assert _reaching.py_func(starts, choices, last, 1).all()
+    assert not _p_min_zero.py_func(starts, choices, np.arange(9) < 9, 1, last).any()
+
+
+def test_rows_beyond_the_32_bit_integers_belong_to_their_states() -> None:
+    """State 0 is reached from row 10^10 + 1 of state 1, which has 10^10 actions."""
+    starts = np.array([0, 1, 1, 1])
+    choices = np.array([10**10 + 1])
+    reached = _reaching(starts, choices, np.array([True, False, False]), 10**10)
+    assert reached.tolist() == [True, True, False]

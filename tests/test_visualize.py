@@ -8,8 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from matplotlib import pyplot
 from PIL import Image
 
+from dead_ends import visualize
 from dead_ends.visualize import main
 
 SMALL_BRAKE = ["brake", "--distance", "60", "--speed", "10"]
@@ -156,3 +158,19 @@ def test_without_a_display_a_file_is_written_here(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.splitlines()[-1].split() == ["picture", "gridworld.png"]
     assert (tmp_path / "gridworld.png").exists()
+
+
+def test_with_a_display_the_picture_is_in_its_window(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(visualize, "_has_display", lambda: True)
+    shown = []
+    monkeypatch.setattr(pyplot, "show", lambda: shown.append(pyplot.gcf()))
+    assert main(SMALL_BRAKE) == 0
+    (figure,) = shown
+    assert figure.canvas.manager is not None
+    assert len(figure.axes) > 0
+    assert capsys.readouterr().out.splitlines()[-1].split() == ["picture", "in", "its", "window"]
+    assert not list(tmp_path.iterdir())
+    pyplot.close(figure)

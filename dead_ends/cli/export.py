@@ -47,21 +47,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    import numpy as np
-
     from dead_ends.bellman import value_iteration
     from dead_ends.checker import model_digest
+    from dead_ends.correction import safety_filter
     from dead_ends.io.filter_table import save_filter
-    from dead_ends.labels import safe_actions
-    from dead_ends.policies import allowed_actions, recovery_policy
 
     check_output(arguments.out, arguments.file)
     model = read_source(arguments)
     critic = value_iteration(model, arguments.gamma_safe, exact=arguments.exact)
-    stays = safe_actions(model)
     threshold = arguments.epsilon_safe
-    allowed = stays if threshold is None else allowed_actions(critic, threshold)
-    recovery = np.where(stays.any(axis=1), stays.argmax(axis=1), recovery_policy(critic))
     metadata = {
         "model": str(arguments.file),
         "sha256": model_digest(model),
@@ -70,11 +64,13 @@ def run(arguments: argparse.Namespace) -> int:
         "epsilon_safe": None if threshold is None else str(threshold),
         "exact": critic.exact,
     }
-    save_filter(arguments.out, allowed, recovery, metadata)
-    print(f"wrote {arguments.out}: {int(allowed.sum()):,} of {allowed.size:,} actions pass")
+    table = safety_filter(model, critic, threshold, metadata)
+    save_filter(arguments.out, table)
+    passing = f"{int(table.allowed.sum()):,} of {table.allowed.size:,} actions pass"
+    print(f"wrote {arguments.out}: {passing}")
     if model.estimate:
         print(f"dead-ends: the filter is of {ESTIMATE}", file=sys.stderr)
-    if lost := cut_off(model, allowed, recovery):
+    if lost := cut_off(model, table.allowed, table.recovery):
         print(f"dead-ends: {lost}", file=sys.stderr)
     return 0
 

@@ -49,7 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(summary, indent=2))
     else:
-        print(f"{arguments.file}: {summary['kind']}, {model.num_actions} actions")
+        seed = "" if summary["seed"] is None else f", reset with seed {summary['seed']}"
+        print(f"{arguments.file}: {summary['kind']}, {model.num_actions} actions{seed}")
         print_rows(_rows(summary))
         if arguments.out:
             print(f"wrote {arguments.out}")
@@ -65,10 +66,12 @@ def summarize(
     return {
         "kind": "deterministic" if model.is_deterministic else "stochastic",
         "estimate": model.estimate,
+        "seed": getattr(model, "seed", None),
         "states": model.num_states,
         "actions": model.num_actions,
         **{label.name.lower(): labelling.count(label) for label in sorted(Label)},
         "terminal": int(model.terminal.sum()),
+        **({} if model.normalised is None else {"rows_normalised": model.normalised}),
         "horizon": labelling.horizon,
         "boundary_horizon": labelling.boundary_horizon,
         "reachable_horizon": labelling.reachable_horizon,
@@ -114,6 +117,8 @@ def _rows(summary: dict[str, Any]) -> list[tuple[str, Any]]:
     ]
     if summary["kind"] == "stochastic":
         rows.append(("at risk", summary["at_risk"]))
+    if summary.get("rows_normalised"):
+        rows.append(("rows normalised", summary["rows_normalised"]))
     rows.append(("horizon H", _known(summary["horizon"])))
     rows.append(("boundary horizon H_b", _known(summary["boundary_horizon"])))
     if summary["reachable_horizon"] is not None:

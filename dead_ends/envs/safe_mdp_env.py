@@ -9,6 +9,7 @@ Needs gymnasium, the extra ``gym``.
 
 from __future__ import annotations
 
+import operator
 from functools import cached_property
 from typing import Any
 
@@ -17,7 +18,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from dead_ends.model import Geometry, SafeMDP
+from dead_ends.model import Geometry, SafeMDP, require_type
 
 __all__ = ["SafeMDPEnv"]
 
@@ -61,6 +62,7 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
         render_mode: str | None = None,
         colors: NDArray[np.uint8] | None = None,
     ) -> None:
+        require_type(model, SafeMDP, "SafeMDPEnv")
         if model.initial is None:
             raise ValueError("the model has no initial states to start an episode in")
         if render_mode not in (None, *self.metadata["render_modes"]):
@@ -85,10 +87,7 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
         """Draw the first state, or take the one in ``options["state"]``."""
         super().reset(seed=seed)
         if options and "state" in options:
-            state = int(options["state"])
-            if not 0 <= state < self.model.num_states:
-                raise ValueError(f"reset: state {state} is not a state of the model")
-            self.state = state
+            self.state = _number(options["state"], self.model.num_states, "reset: state")
         else:
             self.state = int(self._starts[self._draw(self._start_bounds)])
         return self.state, self._info(False)
@@ -97,14 +96,13 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
         """One transition of the model.
 
         Raises:
-            ValueError: if the action is not available in the present state.
+            ValueError: if there is no such action, or it is not available in the present state.
         """
         before = self.state
+        action = _number(action, self.model.num_actions, "action")
         if not self._mask[before, action]:
-            raise ValueError(
-                f"{self.model.state_name(before)}: "
-                f"{self.model.action_name(int(action))} is not available"
-            )
+            name = self.model.action_name(action)
+            raise ValueError(f"{self.model.state_name(before)}: {name} is not available")
         start, stop = self._row(before, action)
         chosen = 0
         if stop - start > 1:
@@ -187,3 +185,14 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
         colors[self.model.terminal] = GOAL
         colors[self.state] = AGENT
         return colors
+
+
+def _number(value: Any, count: int, what: str) -> int:
+    """A number from 0 to count - 1, or a sentence that says what else it is."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = -1
+    if not 0 <= number < count:
+        raise ValueError(f"{what} {value!r} is not one of 0 to {count - 1}")
+    return number

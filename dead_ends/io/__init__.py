@@ -4,6 +4,7 @@
 own module.
 """
 
+from dead_ends.io.errors import NoFailureWarning
 from dead_ends.io.formats import load_model, save_model
 
-__all__ = ["load_model", "save_model"]
+__all__ = ["NoFailureWarning", "load_model", "save_model"]

@@ -6,8 +6,11 @@ A condition is a Python expression over the names
 * ``r``: the reward of the transition,
 * ``done``: whether the episode ends with it,
 
-with numbers, arithmetic, comparisons (``in`` with a list too) and ``and``, ``or``, ``not``.
-The text is parsed and interpreted here on whole arrays; nothing of it is ever executed.
+or, instead of them, over the variables of a model that has them: ``col == 2 and x > 3`` says which
+states fail. A variable that is called like one of the names above is written ``model.s``.
+
+Both come with numbers, arithmetic, comparisons (``in`` with a list too) and ``and``, ``or``,
+``not``. The text is parsed and interpreted here on whole arrays; nothing of it is ever executed.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["NAMES", "evaluate_condition"]
+__all__ = ["NAMES", "evaluate_condition", "names_in"]
 
 NAMES = ("s", "a", "r", "s2", "done")
 
@@ -54,10 +57,7 @@ def evaluate_condition(text: str, columns: Mapping[str, NDArray[Any]]) -> NDArra
     Raises:
         ValueError: quoting the part of the condition that has no meaning here.
     """
-    try:
-        tree = ast.parse(text.strip(), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
-        raise ValueError(f"condition {text!r}: not an expression") from None
+    tree = _parse(text)
     try:
         with np.errstate(divide="raise", invalid="raise"):
             value = np.asarray(_evaluate(tree, columns))
@@ -71,6 +71,30 @@ def evaluate_condition(text: str, columns: Mapping[str, NDArray[Any]]) -> NDArra
     return np.broadcast_to(value, (length,)).copy()
 
 
+def names_in(text: str) -> list[str]:
+    """The different names of a condition in alphabetical order, ``model.s`` being one.
+
+    Raises:
+        ValueError: if the text is not an expression.
+    """
+    names, owners = set(), set()
+    for node in ast.walk(_parse(text)):  # from the outside to the inside
+        match node:
+            case ast.Attribute(value=ast.Name(id=owner) as inner, attr=attribute):
+                names.add(f"{owner}.{attribute}")
+                owners.add(inner)
+            case ast.Name(id=name) if node not in owners:
+                names.add(name)
+    return sorted(names)
+
+
+def _parse(text: str) -> ast.expr:
+    try:
+        return ast.parse(text.strip(), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise ValueError(f"condition {text!r}: not an expression") from None
+
+
 class _Meaningless(Exception):
     """A part of the text that is not in the language above."""
 
@@ -81,6 +105,8 @@ def _evaluate(node: ast.expr, columns: Mapping[str, NDArray[Any]]) -> Any:
             return value
         case ast.Name(id=name) if name in columns:
             return columns[name]
+        case ast.Attribute(value=ast.Name(id=owner), attr=name) if f"{owner}.{name}" in columns:
+            return columns[f"{owner}.{name}"]
         case ast.Name(id=name):
             known = ", ".join(columns)
             raise _Meaningless(f"unknown name '{name}' (known here: {known})")

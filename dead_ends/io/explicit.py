@@ -14,16 +14,19 @@ The formats hold no rewards, and of the initial distribution only its states.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dead_ends.io.condition import NAMES, evaluate_condition, names_in
+from dead_ends.io.errors import warn_no_failure
 from dead_ends.io.transitions import Condition, Transitions, build_model, state_mask
 from dead_ends.model import SafeMDP
-from dead_ends.model_input import ROW_SUM_TOLERANCE
+from dead_ends.model_input import ROW_SUM_TOLERANCE, mendable, not_one
 
 if TYPE_CHECKING:
     from dead_ends.io.tokens import Tokens
@@ -32,50 +35,144 @@ __all__ = [
     "Explicit",
     "Failure",
     "Rows",
+    "check_action_names",
     "check_distributions",
     "check_no_estimate",
     "count_distinct",
     "explicit_model",
+    "is_utf8",
+    "kind_of_value",
     "model_labels",
     "model_rows",
+    "read_probabilities",
     "read_states",
+    "unreadable_kind",
 ]
 
 Integers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 MAX_NAMED_ACTIONS = 64
-"""With more different labels, choices are numbered: the tables have a column an action."""
+"""With more different labels, and more than any state has choices, choices are numbered: the
+tables have a column an action."""
+
+KINDS = {
+    "CTMC": "a continuous-time Markov chain (CTMC)",
+    "CTMDP": "a continuous-time MDP (CTMDP)",
+    "MA": "a Markov automaton",
+    "POMDP": "a partially observable MDP (POMDP)",
+    "LTS": "a labelled transition system (LTS)",
+    "SMG": "a game of several players (SMG)",
+    "S2PG": "a game of two players (S2PG)",
+    "STPG": "a game of two players (STPG)",
+    "CSG": "a concurrent game (CSG)",
+    "ICSG": "a concurrent game with intervals of probabilities (ICSG)",
+    "IDTMC": "a DTMC with intervals of probabilities (IDTMC)",
+    "IMDP": "an MDP with intervals of probabilities (IMDP)",
+    "IPOMDP": "a partially observable MDP with intervals of probabilities (IPOMDP)",
+    "PTA": "a probabilistic timed automaton (PTA)",
+    "POPTA": "a partially observable probabilistic timed automaton (POPTA)",
+    "TA": "a timed automaton (TA)",
+    "STA": "a stochastic timed automaton (STA)",
+    "HA": "a hybrid automaton (HA)",
+    "PHA": "a probabilistic hybrid automaton (PHA)",
+    "SHA": "a stochastic hybrid automaton (SHA)",
+    "TPTG": "a timed game (TPTG)",
+    "TSG": "a timed game (TSG)",
+}
+"""Kinds of models that are not read, by the words that PRISM and Storm have for them."""
+
+INTERVALS = "the model has intervals of probabilities; MDPs and DTMCs can be read"
+
+PARAMETRIC = "the model is parametric; MDPs and DTMCs can be read"
+
+RESERVED = frozenset({"__NOLABEL__"})
+"""What Storm writes for a choice without a label: no name."""
+
+_BLANKS = frozenset(" \t\n\v\f\r")
+_IDENTIFIER = re.compile(r"[^\W\d]")
 
 
 @dataclass(frozen=True)
 class Failure:
     """Which states of a labelled model fail; several say so together.
 
+    What selects no state is warned of: failure by it is impossible.
+
     Attributes:
-        label: the name of a label; "fail" if nothing is said.
+        label: the name of a label, or several of them; "fail" if nothing is said.
         states: a mask (S,) or numbers of states.
-        condition: on (s, a, s'); see :mod:`dead_ends.io.condition`.
+        condition: on (s, a, s'), or on the variables of states; see
+            :mod:`dead_ends.io.condition`.
     """
 
-    label: str | None = None
+    label: str | Sequence[str] | None = None
     states: ArrayLike | None = None
     condition: Condition | None = None
 
-    def mask(self, labels: Mapping[str, Mask], num_states: int) -> Mask:
-        """bool (S,): the fail states among those of the file."""
-        result = np.zeros(num_states, dtype=np.bool_)
+    def among(self, explicit: Explicit) -> tuple[Mask, Condition | None]:
+        """The fail states of the file, bool (S,), and the condition on its transitions."""
+        result = np.zeros(explicit.num_states, dtype=np.bool_)
+        for label in self._labels(explicit.labels):
+            result |= explicit.labels[label]
+            if not explicit.labels[label].any():
+                warn_no_failure(f"no state carries the label '{label}'")
+        if self.states is not None:
+            result |= state_mask(self.states, explicit.num_states)
+        text = self.condition
+        if not isinstance(text, str) or not _speaks_of_states(text, explicit.variables):
+            return result, self.condition
+        chosen = evaluate_condition(text, _columns(explicit.variables))
+        if not chosen.any():
+            warn_no_failure(f"no state satisfies {text!r}")
+        return result | chosen, None
+
+    def _labels(self, declared: Mapping[str, Mask]) -> Sequence[str]:
         silent = self.label is None and self.states is None and self.condition is None
-        label = "fail" if silent else self.label
-        if label is not None:
-            if label not in labels:
-                known = ", ".join(labels) or "none"
+        labels = "fail" if silent else () if self.label is None else self.label
+        labels = [labels] if isinstance(labels, str) else labels
+        for label in labels:
+            if label not in declared:
+                known = ", ".join(declared) or "none"
                 hint = "; say which states fail (--fail-label NAME)" if silent else ""
                 raise ValueError(f"no label '{label}' (labels: {known}){hint}")
-            result |= labels[label]
-        if self.states is not None:
-            result |= state_mask(self.states, num_states)
-        return result
+        return labels
+
+
+def _columns(variables: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The variables as a condition names them."""
+    plain = {name: values for name, values in variables.items() if name not in NAMES}
+    return plain | {f"model.{name}": values for name, values in variables.items()}
+
+
+def _speaks_of_states(text: str, variables: Mapping[str, NDArray[Any]]) -> bool:
+    """Whether a condition is one on the variables of states, and not on transitions.
+
+    Raises:
+        ValueError: if it is on both, names neither, or is ambiguous.
+    """
+    names = names_in(text)
+    known = _columns(variables)
+    own = [name for name in names if name in known]
+    others = [name for name in names if name not in known]
+    both = [name for name in others if name in variables]
+    if both:
+        raise ValueError(
+            f"condition {text!r}: '{both[0]}' is a variable of the model too; "
+            f"write model.{both[0]} for the variable"
+        )
+    unknown = [name for name in others if name not in NAMES]
+    if variables and unknown:
+        raise ValueError(
+            f"condition {text!r}: unknown name '{unknown[0]}' "
+            f"(known here: s, a, s2, or the variables {', '.join(variables)})"
+        )
+    if own and others:
+        raise ValueError(
+            f"condition {text!r}: '{own[0]}' says which states fail and '{others[0]}' which "
+            "transitions; one condition can say one of them"
+        )
+    return bool(own)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +187,7 @@ class Explicit:
         choice_names: the different labels of choices.
         choice_name: (N,) which of them each transition's choice has; -1: none.
         state_names: S names or None.
+        variables: (S,) the values that the model's variables have, by name.
     """
 
     source: Integers
@@ -101,16 +199,17 @@ class Explicit:
     choice_names: Sequence[str]
     choice_name: Integers
     state_names: tuple[str, ...] | None
+    variables: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
 
-def explicit_model(explicit: Explicit, failure: Failure) -> SafeMDP:
-    """The safe MDP of a labelled model.
+def explicit_model(explicit: Explicit, failure: Failure, normalise: bool = False) -> SafeMDP:
+    """The safe MDP of a labelled model; ``normalise`` as in :func:`build_model`.
 
     Raises:
         ValueError: if there is no such label, or naming the state and action at fault.
     """
     action, names = _actions(explicit)
-    fail = failure.mask(explicit.labels, explicit.num_states)
+    fail, condition = failure.among(explicit)
     transitions = Transitions(
         source=explicit.source,
         action=action,
@@ -123,7 +222,7 @@ def explicit_model(explicit: Explicit, failure: Failure) -> SafeMDP:
         state_names=explicit.state_names,
         action_names=names,
     )
-    return build_model(transitions, failure.condition)
+    return build_model(transitions, condition, normalise=normalise)
 
 
 def read_states(tokens: Tokens, places: Integers, num_states: int, trim: int = 0) -> Integers:
@@ -141,14 +240,44 @@ def read_states(tokens: Tokens, places: Integers, num_states: int, trim: int = 0
     return states
 
 
+def unreadable_kind(kind: str) -> str | None:
+    """A sentence that refuses a kind of model; None for MDPs, DTMCs and unknown words."""
+    name = KINDS.get("MA" if kind.upper() == "MARKOV AUTOMATON" else kind.upper())
+    return None if name is None else f"the model is {name}; MDPs and DTMCs can be read"
+
+
+def read_probabilities(
+    tokens: Tokens, places: Integers, named: Mapping[bytes, bytes] | None = None
+) -> NDArray[Any]:
+    """The probabilities at these tokens, where ``named`` tokens stand for others.
+
+    Raises:
+        ValueError: naming the file and line of the first that is no number, and the kind of
+            model that has such things in place of probabilities.
+    """
+    return tokens.numbers(places, "a probability", named, kind_of_value)
+
+
+def kind_of_value(text: str) -> str:
+    """What is told about the model by a text that is no number; empty: nothing."""
+    if text[0] in "[(" and (text[-1:] not in ")]" or "," in text):
+        return f": {INTERVALS}"
+    if text[0] == "$":
+        return ": there is no such placeholder"
+    if _IDENTIFIER.search(text) and text.strip("+-").lower() not in ("nan", "inf", "infinity"):
+        return f": {PARAMETRIC}"
+    return ""
+
+
 def check_distributions(
     tokens: Tokens,
     lines: Integers,
     source: Integers,
     choice: Integers,
     probability: NDArray[Any],
+    normalise: bool = False,
 ) -> None:
-    """Check that the probabilities of each choice are a distribution.
+    """Check that the probabilities of each choice are a distribution, or can be normalised.
 
     Raises:
         ValueError: naming the file and line (the first of the choice), state and choice.
@@ -164,23 +293,51 @@ def check_distributions(
     if len(negative):
         raise fail(int(negative[0]), f"negative probability {probability[negative[0]]}")
     row = source * (int(choice.max()) + 1) + choice
+    entries = np.bincount(row[probability != 0], minlength=int(row.max()) + 1)
     if probability.dtype == object:
-        exact_total = np.zeros(int(row.max()) + 1, dtype=object)
-        np.add.at(exact_total, row, probability)
-        wrong = np.flatnonzero(exact_total[row] != 1)
-        if len(wrong):
-            raise fail(wrong[0], f"probabilities sum to {exact_total[row[wrong[0]]]}, not 1")
-        return
-    total = np.bincount(row, probability)
-    wrong = np.flatnonzero(np.abs(total[row] - 1) > ROW_SUM_TOLERANCE)
+        total = np.zeros(len(entries), dtype=object)
+        np.add.at(total, row, probability)
+        off = total != 1
+    else:
+        total = np.bincount(row, probability)
+        off = np.abs(total - 1) > ROW_SUM_TOLERANCE
+    if normalise:
+        off &= ~mendable(total, entries).astype(np.bool_)
+    wrong = np.flatnonzero(off[row])
     if len(wrong):
-        raise fail(wrong[0], f"probabilities sum to {total[row[wrong[0]]]:.12g}, not 1")
+        at = row[wrong[0]]
+        raise fail(wrong[0], not_one(total[at], int(entries[at])))
 
 
 def count_distinct(values: Integers) -> int:
     """How many different values there are; linear if they are sorted, as in most files."""
     ordered = np.sort(values, kind="stable")
     return int(np.count_nonzero(np.diff(ordered))) + (len(ordered) > 0)
+
+
+def check_action_names(path: str | os.PathLike[str], model: SafeMDP) -> None:
+    """Check that the formats can hold the names of the actions.
+
+    Raises:
+        ValueError: naming the file and the first name that would be lost.
+    """
+    names = model.action_names or ()
+    for action, name in enumerate(names):
+        blank = not name or not _BLANKS.isdisjoint(name)
+        if blank or not is_utf8(name) or name in RESERVED or name in names[:action]:
+            why = "; two actions have it" if name in names[:action] else ""
+            raise ValueError(f"{path}: the action's name {name!r} cannot be written{why}")
+    widest = int(np.count_nonzero(model.available, axis=1).max())
+    if len(names) > max(MAX_NAMED_ACTIONS, widest):
+        raise ValueError(
+            f"{path}: the names of {len(names)} actions, of which no state has more than "
+            f"{widest}, cannot be written; at most {MAX_NAMED_ACTIONS} can"
+        )
+
+
+def is_utf8(name: str) -> bool:
+    """Whether a name can be written at all."""
+    return not any("\ud800" <= character <= "\udfff" for character in name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,9 +409,10 @@ def _actions(explicit: Explicit) -> tuple[Integers, tuple[str, ...] | None]:
     The labels serve if each choice has one and no two choices of a state share it.
     """
     names, name = explicit.choice_names, explicit.choice_name
-    if not names or len(names) > MAX_NAMED_ACTIONS or (name < 0).any():
+    widest = int(explicit.choice.max(initial=0)) + 1
+    if not names or len(names) > max(MAX_NAMED_ACTIONS, widest) or (name < 0).any():
         return explicit.choice, None
-    choice = explicit.source * (int(explicit.choice.max(initial=0)) + 1) + explicit.choice
+    choice = explicit.source * widest + explicit.choice
     labelled = explicit.source * len(names) + name
     if (
         count_distinct(choice)

@@ -1,13 +1,22 @@
 """Deterministic Gymnasium environments, explored breadth first.
 
 An environment that can be copied and stepped is a graph: from each new state every action is
-tried on a copy. A *key* tells states apart: a hashable value with all that the future depends
-on. Ends by a time limit are none of the task's: copies are made of ``env.unwrapped``, so that
-wrappers, a TimeLimit too, do not count, and truncation is ignored.
+tried on a copy. A *key* tells states apart: a value with all that the future depends on, see
+:mod:`dead_ends.io.environment_model`. Ends by a time limit are none of the task's: copies are
+made of ``env.unwrapped``, so that wrappers, a TimeLimit too, do not count, and truncation is
+ignored.
+
+What is assumed is tried. Every step is made twice, with other random numbers and with the actions
+in another order. Where a key is met again on another path, its successors are compared with the
+first ones; so are those of some hundred random steps from the start. What has two different
+outcomes is refused with both. Rare chances and rarely hidden differences may still escape.
 
 Violations are transitions that satisfy a condition, by default none is known but for MiniGrid,
 where stepping on lava ends the episode without reward. MiniGrid's lava maps have no dead-ends:
 turning round is always possible and harmless.
+
+Where ``reset`` draws a layout, the model is that of one seed. Its states are the keys of that
+layout, so that a filter made from it refuses another one.
 """
 
 from __future__ import annotations
@@ -16,21 +25,39 @@ import copy
 from collections import deque
 from collections.abc import Callable, Hashable
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from dead_ends.io.environment_model import (
+    Ended,
+    EnvironmentModel,
+    canonical_key,
+    model_of_environment,
+    short,
+)
 from dead_ends.io.errors import located, optional_module
 from dead_ends.io.gymnasium_table import environment_name
 from dead_ends.io.transitions import Condition, Transitions, build_model, violations
-from dead_ends.model import SafeMDP
+from dead_ends.io.trial import (
+    copy_of,
+    discrete_range,
+    global_generators_kept,
+    numerals,
+    use_randomness,
+)
 
 __all__ = ["MAX_STATES", "explore", "explore_minigrid", "minigrid_key"]
 
 MAX_STATES = 1_000_000
 
-Key = Callable[[Any], Hashable]
+WALK_STEPS = 500
+"""How many random steps from the start are compared with the model in the end."""
+
+Key = Callable[[Any], Any]
+Name = Callable[[Any], str]
 
 
 def explore(
@@ -39,36 +66,38 @@ def explore(
     *,
     fail_if: Condition | None = None,
     max_states: int = MAX_STATES,
-    name: Callable[[Hashable], str] | None = None,
+    name: Name | None = None,
     progress: bool = False,
     seed: int | None = 0,
-) -> SafeMDP:
+) -> EnvironmentModel:
     """The model of what can be reached from the environment's first state.
 
     State 0 is the first state after ``env.reset(seed=seed)``. A transition that terminates
     leads to a state of its own, which fails if all transitions into it satisfy ``fail_if``, and
-    is terminal otherwise. Every step is tried twice with different random numbers: a
-    stochastic environment is found out (with high probability, and if it draws from
-    ``env.np_random``) and refused.
+    is terminal otherwise. ``model.state_of(key(env.unwrapped))`` is the number of the state that
+    an environment is in. Rewards are those of the first path to a state.
 
     Args:
-        env: a Gymnasium environment with a discrete action space; not changed.
-        key: from the unwrapped environment to a hashable value, equal for equal states.
-        fail_if: a condition on (s, a, r, s') and ``done``.
+        env: a Gymnasium environment with a Discrete action space; not changed. Action i of the
+            model is the space's ``start + i``.
+        key: from the unwrapped environment to a value, equal for equal states.
+        fail_if: a condition on (s, a, r, s') and ``done``, where a is the environment's.
         max_states: the limit.
-        name: from a key to the state's name.
+        name: from a key, in canonical form, to the state's name.
         progress: show a progress bar on standard error (needs tqdm).
-        seed: for the reset.
+        seed: for the reset. None: no reset, the first state is the present one.
 
     Raises:
-        ValueError: if the action space is not discrete, there are more states than
-            ``max_states``, or a step has two different outcomes.
-        MissingDependencyError: if ``progress`` and tqdm is not installed.
+        ValueError: if the action space is not Discrete, there are more states than
+            ``max_states``, a step or the reset has two different outcomes, or one key has
+            different successors.
+        MissingDependencyError: if Gymnasium is not installed, or ``progress`` and tqdm is not.
     """
-    with located(environment_name(env)):
-        return _explore(
-            copy.deepcopy(env.unwrapped), key, fail_if, max_states, name, progress, seed
-        )
+    with located(environment_name(env)), global_generators_kept(), ExitStack() as stack:
+        bar = stack.enter_context(_progress_bar()) if progress else None
+        exploration = _Exploration(env, key, max_states, name, bar, seed)
+        exploration.run()
+        return exploration.model(fail_if)
 
 
 def explore_minigrid(
@@ -78,10 +107,11 @@ def explore_minigrid(
     max_states: int = MAX_STATES,
     progress: bool = False,
     seed: int | None = 0,
-) -> SafeMDP:
+) -> EnvironmentModel:
     """A MiniGrid environment; lava fails unless ``fail_if`` says otherwise.
 
-    Parameters and errors as in :func:`explore`.
+    Many of its layouts are drawn at the reset: the model is that of ``seed``. Parameters and
+    errors as in :func:`explore`.
     """
     return explore(
         env,
@@ -98,103 +128,203 @@ def minigrid_key(env: Any) -> Hashable:
     """What the future of a MiniGrid environment depends on, but for the count of steps."""
     carrying = None if env.carrying is None else env.carrying.encode()
     column, row = (int(coordinate) for coordinate in env.agent_pos)
-    return column, row, int(env.agent_dir), carrying, env.grid.encode().tobytes()
+    layout = env.grid.encode().tobytes()
+    return column, row, int(env.agent_dir), carrying, layout, str(env.mission)
 
 
 def _minigrid_name(key: Any) -> str:
     return f"column {key[0]}, row {key[1]}, facing {('right', 'down', 'left', 'up')[key[2]]}"
 
 
-@dataclass(frozen=True)
-class _Ended:
-    """The key of a state in which the episode has ended: not the same place before."""
+Outcome = tuple[Any, Hashable, float, bool]
+"""A copy after the step, its key (``Ended`` if the episode is), the reward, whether it ended."""
 
-    key: Hashable
+Row = tuple[int, int, int, float, bool]
+"""State, index of the action, successor, reward, whether the episode ended."""
 
 
-def _explore(
-    env: Any,
-    key: Key,
-    fail_if: Condition | None,
-    max_states: int,
-    name: Callable[[Hashable], str] | None,
-    progress: bool,
-    seed: int | None,
-) -> SafeMDP:
-    num_actions = getattr(env.action_space, "n", None)
-    if num_actions is None:
-        raise ValueError(f"the action space {env.action_space} is not discrete")
-    env.reset(seed=seed)
-    rng = np.random.default_rng(seed)
-    numbers: dict[Hashable, int] = {key(env): 0}
-    waiting = deque([(0, env)])
-    rows: list[tuple[int, int, int, float, bool]] = []
-    with ExitStack() as stack:
-        bar = stack.enter_context(_progress_bar()) if progress else None
+class _Exploration:
+    """The states and transitions found so far; see :func:`explore` for the arguments."""
+
+    def __init__(
+        self, env: Any, key: Key, max_states: int, name: Name | None, bar: Any, seed: int | None
+    ) -> None:
+        self.actions = discrete_range(env.action_space, "actions")
+        self.key = key
+        self.max_states = max_states
+        self.name = name
+        self.bar = bar
+        self.seed = seed
+        self.rng = np.random.default_rng(seed)
+        self.first = self._first(env)
+        self.numbers: dict[Hashable, int] = {self._key(self.first): 0}
+        self.rows: list[Row] = []
+        self.row_of: dict[int, int] = {}
+        """Where the rows of a state begin, once its actions were tried."""
+        self.again: list[Row] = []
+        """Transitions of states that were met again."""
+
+    def run(self) -> None:
+        """Try every action in every state, first met first tried."""
+        waiting = deque([(0, self.first)])
+        met: set[tuple[int, bool]] = set()
         while waiting:
-            source, parent = waiting.popleft()
-            for action in range(int(num_actions)):
-                child, reward, terminated = _step(parent, action, key, source, rng)
-                place = _Ended(key(child)) if terminated else key(child)
-                if place not in numbers:
-                    if len(numbers) == max_states:
-                        raise ValueError(f"more than {max_states} states (max_states)")
-                    numbers[place] = len(numbers)
-                    if not terminated:
-                        waiting.append((numbers[place], child))
-                    if bar is not None:
-                        bar.update()
-                rows.append((source, action, numbers[place], reward, terminated))
-    return _build(rows, list(numbers), int(num_actions), fail_if, name)
+            state, env = waiting.popleft()
+            if state in self.row_of:
+                self._compare(state, env)
+                continue
+            self.row_of[state] = len(self.rows)
+            for index, (child, place, reward, ended) in enumerate(self._try(state, env)):
+                is_new = place not in self.numbers
+                target = self._number(place)
+                self.rows.append((state, index, target, reward, ended))
+                # A known key is compared once where it was left, and once on another path.
+                path = (target, target == state)
+                if not ended and (is_new or path not in met):
+                    waiting.append((target, child))
+                    if not is_new:
+                        met.add(path)
+        self._walk()
 
+    def model(self, fail_if: Condition | None) -> EnvironmentModel:
+        """The model of what was found."""
+        transitions = self._transitions(self.rows)
+        if fail_if is not None:
+            violates = violations(transitions, fail_if)
+            self._check_violations(violates, fail_if)
+            harmless = np.zeros(len(self.numbers), dtype=np.bool_)
+            harmless[transitions.target[~violates]] = True
+            fails = transitions.terminal & ~harmless
+            transitions = replace(transitions, fail=fails, terminal=transitions.terminal & ~fails)
+        return model_of_environment(build_model(transitions, fail_if), self.numbers, seed=self.seed)
 
-def _step(
-    env: Any, action: int, key: Key, source: int, rng: np.random.Generator
-) -> tuple[Any, float, bool]:
-    """A copy after the step, its reward and whether the episode ended, tried twice."""
-    outcomes = []
-    for tries in rng.spawn(2):
+    def _first(self, env: Any) -> Any:
+        """A copy in the first state; reset twice, if at all, while the global generators differ."""
+        if self.seed is None:
+            return copy_of(env)
+        firsts = []
+        for rng in self.rng.spawn(2):
+            first = copy_of(env)
+            use_randomness(first, rng)
+            first.reset(seed=self.seed)
+            firsts.append(first)
+        if self._key(firsts[0]) != self._key(firsts[1]):
+            raise ValueError(
+                f"two resets with seed {self.seed} differ, so that something else draws the "
+                "first state; with seed=None the present state is the first"
+            )
+        return firsts[0]
+
+    def _try(self, state: int, env: Any) -> list[Outcome]:
+        """What each action does, tried twice: in order, and in the reverse order."""
+        forth, back = self.rng.spawn(2)
+        outcomes = [self._step(env, action, forth) for action in self.actions]
+        others = [self._step(env, action, back) for action in reversed(self.actions)]
+        for action, one, other in zip(self.actions, outcomes, reversed(others), strict=True):
+            if one[1:] != other[1:]:
+                raise ValueError(
+                    f"{self._said(state)}, action {action}: two tries differ; "
+                    "the environment is stochastic"
+                )
+        return outcomes
+
+    def _step(self, env: Any, action: int, rng: np.random.Generator) -> Outcome:
         child = copy.deepcopy(env)
-        child.np_random = tries
+        use_randomness(child, rng)
         _, reward, terminated, _, _ = child.step(action)
-        outcomes.append((key(child), float(reward), bool(terminated)))
-    if outcomes[0] != outcomes[1]:
-        raise ValueError(
-            f"state {source}, action {action}: two tries differ; the environment is stochastic"
+        return child, self._place(child, terminated), float(reward), bool(terminated)
+
+    def _compare(self, state: int, env: Any) -> None:
+        """Another copy with a known key: its successors are those of the first."""
+        for index, action in enumerate(self.actions):
+            self._check(state, index, self._step(env, action, self.rng))
+
+    def _walk(self) -> None:
+        """Random steps from the start, where the future may depend on how long ago that was."""
+        env, state = copy.deepcopy(self.first), 0
+        use_randomness(env, self.rng)
+        for index in self.rng.integers(len(self.actions), size=WALK_STEPS).tolist():
+            _, reward, terminated, truncated, _ = env.step(self.actions[index])
+            place = self._place(env, terminated)
+            self._check(state, index, (env, place, float(reward), bool(terminated)))
+            state = self.numbers[place]
+            if terminated or truncated:
+                env, state = copy.deepcopy(self.first), 0
+
+    def _check(self, state: int, index: int, outcome: Outcome) -> None:
+        _, place, reward, ended = outcome
+        target = self.rows[self.row_of[state] + index][2]
+        if self.numbers.get(place) != target:
+            raise ValueError(
+                f"{self._said(state)}, action {self.actions[index]}: leads to "
+                f"{self._said(target)} on one path and to {self._met(place)} on another; the "
+                "key does not determine its successors, or the environment is stochastic"
+            )
+        self.again.append((state, index, target, reward, ended))
+
+    def _check_violations(self, violates: NDArray[np.bool_], fail_if: Condition) -> None:
+        if not self.again:
+            return
+        again = violations(self._transitions(self.again), fail_if)
+        first = [self.row_of[state] + index for state, index, *_ in self.again]
+        differ = np.flatnonzero(again != violates[first])
+        if len(differ):
+            state, index, *_ = self.again[differ[0]]
+            raise ValueError(
+                f"{self._said(state)}, action {self.actions[index]}: a violation on one path and "
+                "none on another; the key does not determine what fail_if looks at"
+            )
+
+    def _key(self, env: Any) -> Hashable:
+        return canonical_key(self.key(env))
+
+    def _place(self, env: Any, terminated: bool) -> Hashable:
+        return Ended(self._key(env)) if terminated else self._key(env)
+
+    def _number(self, place: Hashable) -> int:
+        if place not in self.numbers:
+            if len(self.numbers) == self.max_states:
+                raise ValueError(f"more than {self.max_states} states (max_states)")
+            self.numbers[place] = len(self.numbers)
+            if self.bar is not None:
+                self.bar.update()
+        return self.numbers[place]
+
+    def _said(self, state: int) -> str:
+        return f"state {state} ({self._text(list(self.numbers)[state])})"
+
+    def _met(self, place: Hashable) -> str:
+        known = place in self.numbers
+        return self._said(self.numbers[place]) if known else f"a new state ({self._text(place)})"
+
+    def _text(self, place: Hashable) -> str:
+        """A state's name, if names are given, or its key."""
+        key = place.key if isinstance(place, Ended) else place
+        text = short(key) if self.name is None else self.name(key)
+        return f"{text}, where the episode ends" if isinstance(place, Ended) else text
+
+    def _transitions(self, rows: list[Row]) -> Transitions:
+        source, action, target, reward, done = (
+            np.array(column) for column in zip(*rows, strict=True)
         )
-    return child, *outcomes[1][1:]
+        places = list(self.numbers)
+        keys = [place.key if isinstance(place, Ended) else place for place in places]
+        return Transitions(
+            source=source,
+            action=action,
+            target=target,
+            probability=np.ones(len(rows)),
+            reward=reward.astype(np.float64),
+            done=done,
+            fail=np.zeros(len(places), dtype=np.bool_),
+            terminal=np.array([isinstance(place, Ended) for place in places]),
+            num_actions=len(self.actions),
+            first_action=self.actions.start,
+            initial=(np.arange(len(places)) == 0).astype(np.float64),
+            state_names=None if self.name is None else tuple(self.name(key) for key in keys),
+            action_names=numerals(self.actions),
+        )
 
 
 def _progress_bar() -> Any:
     return optional_module("tqdm", "a progress bar", "explore").tqdm(unit=" states")
-
-
-def _build(
-    rows: list[tuple[int, int, int, float, bool]],
-    places: list[Hashable],
-    num_actions: int,
-    fail_if: Condition | None,
-    name: Callable[[Hashable], str] | None,
-) -> SafeMDP:
-    source, action, target, reward, done = (np.array(column) for column in zip(*rows, strict=True))
-    ended = np.array([isinstance(place, _Ended) for place in places])
-    keys = [place.key if isinstance(place, _Ended) else place for place in places]
-    transitions = Transitions(
-        source=source,
-        action=action,
-        target=target,
-        probability=np.ones(len(rows)),
-        reward=reward.astype(np.float64),
-        done=done,
-        fail=np.zeros(len(places), dtype=np.bool_),
-        terminal=ended,
-        num_actions=num_actions,
-        initial=(np.arange(len(places)) == 0).astype(np.float64),
-        state_names=None if name is None else tuple(name(key) for key in keys),
-    )
-    if fail_if is not None:
-        harmless = np.zeros(len(places), dtype=np.bool_)
-        harmless[target[~violations(transitions, fail_if)]] = True
-        fails = ended & ~harmless
-        transitions = replace(transitions, fail=fails, terminal=ended & ~fails)
-    return build_model(transitions, fail_if)

@@ -5,15 +5,16 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
+from dead_ends.io.compressed import plain_path
 from dead_ends.io.transitions import Condition
-from dead_ends.model import SafeMDP
+from dead_ends.model import SafeMDP, require_type
 
 if TYPE_CHECKING:
     from dead_ends.io.explicit import Failure
@@ -28,18 +29,24 @@ class ModelOptions:
     """What a source cannot say by itself. A reader refuses options that mean nothing to it.
 
     Attributes:
-        fail_label: the label of the fail states, in formats with labels.
+        fail_label: the label of the fail states, or several, in formats with labels.
         fail_states: a mask (S,) or numbers of states.
-        fail_if: a condition on (s, a, r, s'); see :mod:`dead_ends.io.condition`.
+        fail_if: a condition on (s, a, r, s'), or on the model's variables; see
+            :mod:`dead_ends.io.condition`.
         arguments: for making an environment.
         constants: values of a symbolic model's constants, such as "N=4,K=2".
+        seed: of an environment's reset that draws a layout, 0 if nothing is said.
+        normalise: divide probabilities that miss 1 by their rounding, such as those of files with
+            six digits, by their sum; see :meth:`dead_ends.SafeMDP.stochastic`.
     """
 
-    fail_label: str | None = None
+    fail_label: str | Sequence[str] | None = None
     fail_states: ArrayLike | None = None
     fail_if: Condition | None = None
     arguments: Mapping[str, Any] | None = None
     constants: str | None = None
+    seed: int | None = None
+    normalise: bool = False
 
     def failure(self) -> Failure:
         """The same for a model with labels."""
@@ -60,29 +67,36 @@ class ModelOptions:
 def load_model(
     source: Any,
     *,
-    fail_label: str | None = None,
+    fail_label: str | Sequence[str] | None = None,
     fail_states: ArrayLike | None = None,
     fail_if: Condition | None = None,
     arguments: Mapping[str, Any] | None = None,
     constants: str | None = None,
+    seed: int | None = None,
+    normalise: bool = False,
 ) -> SafeMDP:
     """The model in a file, or of a Gymnasium environment.
 
     Args:
-        source: a path whose suffix says the format, an environment id such as
-            "FrozenLake-v1", or an environment.
-        fail_label, fail_states, fail_if, arguments, constants: see :class:`ModelOptions`.
+        source: a path whose suffix says the format (of text formats also ``.tra.gz``, ...), an
+            environment id such as "FrozenLake-v1", or an environment.
+        fail_label, fail_states, fail_if, arguments, constants, normalise, seed: see
+            :class:`ModelOptions`.
 
     Raises:
         ValueError: naming the file, and the place in it where something is wrong.
         OSError: if the file cannot be read.
         MissingDependencyError: if a package that the format needs is not installed.
+
+    Warns:
+        NoFailureWarning: if one of fail_label, fail_states and fail_if selects nothing, so that
+            failure by it is impossible.
     """
-    options = ModelOptions(fail_label, fail_states, fail_if, arguments, constants)
+    options = ModelOptions(fail_label, fail_states, fail_if, arguments, constants, seed, normalise)
     if not isinstance(source, str | os.PathLike):
         return _load_environment(source, options)
     path = Path(source)
-    reader = _READERS.get(path.suffix.lower())
+    reader = _reader(path)
     if reader is not None:
         return reader(path, options)
     name = os.fspath(source)
@@ -91,8 +105,8 @@ def load_model(
     if not path.exists() and not path.suffix:
         raise ValueError(f"{name}: neither a file nor an environment id such as FrozenLake-v1")
     raise ValueError(
-        f"{name}: unknown format '{path.suffix}' (known: {', '.join(_READERS)}, "
-        "or an environment id such as FrozenLake-v1)"
+        f"{name}: unknown format '{path.suffix}' (known: {', '.join(_READERS)}, text also "
+        "compressed as .gz, or an environment id such as FrozenLake-v1)"
     )
 
 
@@ -104,10 +118,18 @@ def save_model(path: str | os.PathLike[str], model: SafeMDP) -> None:
             exist.
         OSError: if the file cannot be written; then nothing is left behind.
     """
+    require_type(model, SafeMDP, "save_model")
     writer = _WRITERS.get(Path(path).suffix.lower())
     if writer is None:
         raise ValueError(f"{path}: models are written as {', '.join(_WRITERS)}")
     writer(path, model)
+
+
+def _reader(path: Path) -> _Reader | None:
+    """What reads the file, by its suffix; of compressed files by the suffix before ``.gz``."""
+    plain = plain_path(path)
+    suffix = plain.suffix.lower()
+    return None if plain != path and suffix in _BINARY else _READERS.get(suffix)
 
 
 def _load_environment(environment: Any, options: ModelOptions) -> SafeMDP:
@@ -121,36 +143,52 @@ def _load_environment(environment: Any, options: ModelOptions) -> SafeMDP:
         from dead_ends.io.explore import explore_minigrid
 
         options.reject(name, "fail_states")
-        return explore_minigrid(env, fail_if=options.fail_if, progress=sys.stderr.isatty())
-    return load_gymnasium(env, fail_states=options.fail_states, fail_if=options.fail_if)
+        return explore_minigrid(
+            env,
+            fail_if=options.fail_if,
+            progress=sys.stderr.isatty(),
+            seed=options.seed or 0,
+        )
+    options.reject(name, "seed")
+    return load_gymnasium(
+        environment,
+        fail_states=options.fail_states,
+        fail_if=options.fail_if,
+        arguments=options.arguments,
+        normalise=options.normalise,
+    )
 
 
 def _load_npz(path: Path, options: ModelOptions) -> SafeMDP:
     from dead_ends.io.npz import load_npz
 
-    options.reject(str(path), "fail_label", "fail_states", "fail_if", "arguments", "constants")
-    return load_npz(path)
+    options.reject(
+        str(path), "fail_label", "fail_states", "fail_if", "arguments", "constants", "seed"
+    )
+    return load_npz(path, normalise=options.normalise)
 
 
 def _load_prism(path: Path, options: ModelOptions) -> SafeMDP:
     from dead_ends.io.prism import load_prism
 
-    options.reject(str(path), "arguments", "constants")
-    return load_prism(path, options.failure())
+    options.reject(str(path), "arguments", "constants", "seed")
+    return load_prism(path, options.failure(), normalise=options.normalise)
 
 
 def _load_drn(path: Path, options: ModelOptions) -> SafeMDP:
     from dead_ends.io.drn import load_drn
 
-    options.reject(str(path), "arguments", "constants")
-    return load_drn(path, options.failure())
+    options.reject(str(path), "arguments", "constants", "seed")
+    return load_drn(path, options.failure(), normalise=options.normalise)
 
 
 def _load_with_storm(path: Path, options: ModelOptions) -> SafeMDP:
     from dead_ends.io.stormpy_models import load_with_storm
 
-    options.reject(str(path), "arguments")
-    return load_with_storm(path, options.failure(), options.constants or "")
+    options.reject(str(path), "arguments", "seed")
+    return load_with_storm(
+        path, options.failure(), options.constants or "", normalise=options.normalise
+    )
 
 
 def _save_npz(path: str | os.PathLike[str], model: SafeMDP) -> None:
@@ -171,7 +209,8 @@ def _save_drn(path: str | os.PathLike[str], model: SafeMDP) -> None:
     save_drn(path, model)
 
 
-_READERS: dict[str, Callable[[Path, ModelOptions], SafeMDP]] = {
+_Reader = Callable[[Path, ModelOptions], SafeMDP]
+_READERS: dict[str, _Reader] = {
     ".npz": _load_npz,
     ".tra": _load_prism,
     ".drn": _load_drn,
@@ -181,6 +220,9 @@ _READERS: dict[str, Callable[[Path, ModelOptions], SafeMDP]] = {
     ".jani": _load_with_storm,
     ".umb": _load_with_storm,
 }
+_BINARY = (".npz", ".umb")
+"""Formats that compress by themselves."""
+
 _WRITERS: dict[str, Callable[[str | os.PathLike[str], SafeMDP], None]] = {
     ".npz": _save_npz,
     ".tra": _save_prism,

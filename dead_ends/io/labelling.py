@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dead_ends.io.atomic import atomic_path
-from dead_ends.model import SafeMDP
+from dead_ends.model import SafeMDP, require_type
 from dead_ends.results import INFINITE, Label, Labelling
 
 __all__ = ["save_labelling"]
@@ -37,6 +37,8 @@ def save_labelling(
         ValueError: if the suffix is another one or the folder does not exist.
         OSError: if the file cannot be written; then nothing is left behind.
     """
+    require_type(model, SafeMDP, "save_labelling")
+    require_type(labelling, Labelling, "save_labelling")
     writer = _WRITERS.get(Path(path).suffix.lower())
     if writer is None:
         raise ValueError(f"{path}: labels are written as {', '.join(_WRITERS)}")

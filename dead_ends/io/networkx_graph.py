@@ -23,13 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dead_ends.io.transitions import Condition, Transitions, build_model
-from dead_ends.model import SafeMDP
+from dead_ends.model import SafeMDP, require_type
 
 __all__ = ["from_networkx", "to_networkx"]
 
 
 def from_networkx(
-    graph: Any, fail: Iterable[Hashable] | None = None, *, fail_if: Condition | None = None
+    graph: Any,
+    fail: Iterable[Hashable] | None = None,
+    *,
+    fail_if: Condition | None = None,
+    normalise: bool = False,
 ) -> SafeMDP:
     """The model of a DiGraph or MultiDiGraph.
 
@@ -40,6 +44,7 @@ def from_networkx(
         graph: with the attributes described above.
         fail: the nodes that fail; without it and ``fail_if`` those with the attribute ``fail``.
         fail_if: a condition on the numbers (s, a, s').
+        normalise: as in :meth:`dead_ends.SafeMDP.stochastic`.
 
     Raises:
         ValueError: naming the node, and the action, at fault.
@@ -68,7 +73,8 @@ def from_networkx(
         state_names=tuple(str(node) for node in graph.nodes),
         action_names=tuple(str(label) for label in labels) or None,
     )
-    return replace(build_model(transitions, fail_if), estimate=bool(graph.graph.get("estimate")))
+    model = build_model(transitions, fail_if, normalise=normalise)
+    return replace(model, estimate=bool(graph.graph.get("estimate")))
 
 
 def to_networkx(model: SafeMDP) -> Any:
@@ -78,6 +84,7 @@ def to_networkx(model: SafeMDP) -> Any:
     ``initial``; edges ``action`` (the name, or the number) and ``probability``, a Fraction if
     the model is exact. Fail and terminal states have no edges.
     """
+    require_type(model, SafeMDP, "to_networkx")
     graph: Any = nx.MultiDiGraph(estimate=True) if model.estimate else nx.MultiDiGraph()
     initial = np.zeros(model.num_states) if model.initial is None else model.initial
     for state in range(model.num_states):

@@ -26,7 +26,6 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import fields, replace
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +34,9 @@ from numpy.typing import NDArray
 
 from dead_ends.io.atomic import atomic_path
 from dead_ends.io.errors import located
+from dead_ends.memory import require_memory
 from dead_ends.model import Geometry, SafeMDP
+from dead_ends.model_input import MAX_BITS, ExactEntries, read_fraction
 
 __all__ = ["load_npz", "read_arrays", "save_npz"]
 
@@ -62,8 +63,8 @@ def save_npz(path: str | os.PathLike[str], model: SafeMDP) -> None:
         np.savez(file, **arrays)
 
 
-def load_npz(path: str | os.PathLike[str]) -> SafeMDP:
-    """The model in an npz file.
+def load_npz(path: str | os.PathLike[str], *, normalise: bool = False) -> SafeMDP:
+    """The model in an npz file; ``normalise`` as in :meth:`dead_ends.SafeMDP.stochastic`.
 
     Raises:
         ValueError: naming the file and the array at fault.
@@ -78,7 +79,7 @@ def load_npz(path: str | os.PathLike[str]) -> SafeMDP:
             )
         if "fail" not in arrays:
             raise ValueError("no array 'fail': which states fail?")
-        return replace(_read_model(arrays), estimate=_estimate(arrays))
+        return replace(_read_model(arrays, normalise), estimate=_estimate(arrays))
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
@@ -95,9 +96,11 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
         arrays = {}
         try:
             with np.load(file, allow_pickle=False) as archive:
+                for entry in archive.zip.infolist():
+                    require_memory(entry.file_size, f"{path}: the array {entry.filename}")
                 for name in archive.files:
                     with located(f"{path}: array '{name}'"):
-                        arrays[name] = archive[name]
+                        arrays[name] = _read(archive, name)
                         if not isinstance(arrays[name], np.ndarray):
                             raise ValueError("not an array")
         except (zipfile.BadZipFile, zlib.error, EOFError, KeyError) as error:
@@ -105,7 +108,14 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def _read_model(arrays: Arrays) -> SafeMDP:
+def _read(archive: Any, name: str) -> Any:
+    try:
+        return archive[name]
+    except (MemoryError, OverflowError) as error:  # of a shape that nothing can have
+        raise ValueError(str(error)) from None
+
+
+def _read_model(arrays: Arrays, normalise: bool) -> SafeMDP:
     forms = [form for form in ("next_state", "P", "P_indptr") if form in arrays]
     if len(forms) != 1:
         raise ValueError(
@@ -117,7 +127,7 @@ def _read_model(arrays: Arrays) -> SafeMDP:
     for names in ("state_names", "action_names"):
         if names in keywords:
             keywords[names] = _strings(keywords[names], names)
-    keywords["geometry"] = _read_geometry(arrays)
+    keywords |= {"geometry": _read_geometry(arrays), "normalise": normalise}
     if forms == ["next_state"]:
         _reject(arrays, "available", "with 'next_state': -1 marks an action as not available")
         return SafeMDP.deterministic(arrays["next_state"], fail, **keywords)
@@ -131,7 +141,7 @@ def _estimate(arrays: Arrays) -> bool:
 
 
 def _read_kernel(arrays: Arrays, fail: NDArray[Any]) -> Any:
-    """CSR (S*A, S), or the same dense in Fractions (S, A, S) if the file is exact."""
+    """CSR (S*A, S), or the same in Fractions if the file is exact."""
     from scipy import sparse
 
     values = "P_exact" if "P_exact" in arrays else "P_data"
@@ -155,10 +165,15 @@ def _read_kernel(arrays: Arrays, fail: NDArray[Any]) -> Any:
         kernel.check_format(full_check=True)
     if values == "P_data":
         return kernel
-    dense = np.full((rows, num_states), Fraction(0), dtype=object)
-    row = np.repeat(np.arange(rows), np.diff(indptr))
-    dense[row, indices] = [_fraction(text) for text in _strings(arrays["P_exact"], "P_exact")]
-    return dense.reshape(num_states, rows // num_states, num_states)
+    texts = _strings(arrays["P_exact"], "P_exact")
+    with located("P_exact"):
+        exact = [read_fraction(text) for text in texts]
+    return ExactEntries(
+        row=np.repeat(np.arange(rows), np.diff(indptr)),
+        column=indices,
+        value=np.array(exact, dtype=object),
+        shape=(rows, num_states),
+    )
 
 
 def _read_geometry(arrays: Arrays) -> Geometry | None:
@@ -243,14 +258,9 @@ def _geometry_arrays(geometry: Geometry) -> dict[str, Any]:
 def _strings(array: NDArray[Any], name: str) -> list[str]:
     if array.ndim != 1 or array.dtype.kind != "U":
         raise ValueError(f"{name} must be a list of strings, not {array.dtype} {array.shape}")
+    if array.dtype.itemsize > 4 * MAX_BITS:
+        raise ValueError(f"{name} holds strings of {array.dtype.itemsize // 4:,} characters")
     return [str(text) for text in array]
-
-
-def _fraction(text: str) -> Fraction:
-    try:
-        return Fraction(text)
-    except (ValueError, ZeroDivisionError):
-        raise ValueError(f"P_exact: '{text}' is not a fraction") from None
 
 
 def _reject(arrays: Arrays, name: str, why: str) -> None:

@@ -9,14 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dead_ends.io.condition import evaluate_condition
+from dead_ends.io.errors import warn_no_failure
 from dead_ends.model import Geometry, SafeMDP
+from dead_ends.model_input import ExactEntries, mend_rows, plain_array
 
 __all__ = ["Condition", "Transitions", "build_model", "state_mask", "violations"]
 
@@ -36,6 +37,7 @@ class Transitions:
             s' add up.
         fail, terminal: bool (S,).
         num_actions: A.
+        first_action: how conditions count: their ``a`` is ``action + first_action``.
         reward: (N,) or None.
         done: bool (N,), whether the episode ends with the transition; None: never.
         initial: float (S,) or None.
@@ -49,6 +51,7 @@ class Transitions:
     fail: NDArray[np.bool_]
     terminal: NDArray[np.bool_]
     num_actions: int
+    first_action: int = 0
     reward: NDArray[np.float64] | None = None
     done: NDArray[np.bool_] | None = None
     initial: NDArray[np.float64] | None = None
@@ -62,14 +65,16 @@ class Transitions:
         return len(self.fail)
 
 
-def build_model(transitions: Transitions, fail_if: Condition | None = None) -> SafeMDP:
+def build_model(
+    transitions: Transitions, fail_if: Condition | None = None, *, normalise: bool = False
+) -> SafeMDP:
     """The safe MDP that the transitions make.
 
     Transitions that satisfy ``fail_if`` lead to one added fail state, if they do not enter a
-    fail state anyway. Transitions that end
-    the episode elsewhere make their target terminal if nothing else tells against it, see
-    :func:`_end_episodes`. The model is deterministic if every available action has one
-    successor.
+    fail state anyway; where none does, that is warned of. Transitions that end the episode
+    elsewhere make their target terminal if nothing else tells against it, see
+    :func:`_end_episodes`. ``normalise``: as in :meth:`dead_ends.SafeMDP.stochastic`. The model
+    is deterministic if every available action has one successor.
 
     Raises:
         ValueError: naming the state and action at fault.
@@ -78,9 +83,17 @@ def build_model(transitions: Transitions, fail_if: Condition | None = None) -> S
     possible = transitions.probability != 0
     if not possible.all():
         transitions = _select(transitions, possible)
+    mended = 0
+    if normalise:
+        row = transitions.source * transitions.num_actions + transitions.action
+        probability, mended = mend_rows(row, transitions.probability)
+        transitions = replace(transitions, probability=probability)
     rewards = _expected_rewards(transitions)
     if fail_if is not None:
-        violates = violations(transitions, fail_if) & ~transitions.fail[transitions.target]
+        violates = violations(transitions, fail_if)
+        if not violates.any():
+            warn_no_failure(f"no transition satisfies {_quoted(fail_if)}")
+        violates &= ~transitions.fail[transitions.target]
         if transitions.done is not None:
             transitions = replace(transitions, done=transitions.done & ~violates)
         transitions = _redirect(transitions, violates, "fail", fails=True)
@@ -88,21 +101,27 @@ def build_model(transitions: Transitions, fail_if: Condition | None = None) -> S
     if rewards is not None:
         added = transitions.num_states - len(rewards)
         rewards = np.concatenate((rewards, np.zeros((added, transitions.num_actions))))
-    return _compact(transitions, rewards)
+    model = _compact(transitions, rewards, normalise)
+    return replace(model, normalised=mended + (model.normalised or 0)) if normalise else model
 
 
 def state_mask(states: ArrayLike, num_states: int) -> NDArray[np.bool_]:
-    """A bool (S,) mask from a mask or from numbers of states.
+    """A bool (S,) mask of the fail states from a mask or from numbers; none is warned of.
 
     Raises:
         ValueError: if there is no such state.
     """
-    array = np.asarray(states)
+    array = plain_array("fail_states", states)
     if array.dtype == np.bool_:
         if array.shape != (num_states,):
             raise ValueError(f"fail states: a mask must have shape ({num_states},)")
-        return array.copy()
+        mask = array.copy()
+        if not mask.any():
+            warn_no_failure("no state is marked in fail_states")
+        return mask
     mask = np.zeros(num_states, dtype=np.bool_)
+    if not array.size:
+        warn_no_failure("no state is listed in fail_states")
     for state in array.ravel().tolist():
         if not isinstance(state, int) or not 0 <= state < num_states:
             raise ValueError(f"fail states: {state} is not a state (0 to {num_states - 1})")
@@ -112,7 +131,8 @@ def state_mask(states: ArrayLike, num_states: int) -> NDArray[np.bool_]:
 
 def violations(transitions: Transitions, condition: Condition) -> NDArray[np.bool_]:
     """bool (N,): which transitions satisfy the condition."""
-    source, action, target = transitions.source, transitions.action, transitions.target
+    source, target = transitions.source, transitions.target
+    action = transitions.action + transitions.first_action
     reward = transitions.reward
     if isinstance(condition, str):
         columns: dict[str, NDArray[Any]] = {"s": source, "a": action, "s2": target}
@@ -125,6 +145,10 @@ def violations(transitions: Transitions, condition: Condition) -> NDArray[np.boo
         raise ValueError("the condition needs rewards, and these transitions have none")
     rows = zip(source.tolist(), action.tolist(), reward.tolist(), target.tolist(), strict=True)
     return np.array([bool(condition(*row)) for row in rows], dtype=np.bool_)
+
+
+def _quoted(condition: Condition) -> str:
+    return repr(condition) if isinstance(condition, str) else "the condition (fail_if)"
 
 
 def _check_ends(transitions: Transitions) -> None:
@@ -218,7 +242,9 @@ def _redirect(
     )
 
 
-def _compact(transitions: Transitions, rewards: NDArray[np.float64] | None) -> SafeMDP:
+def _compact(
+    transitions: Transitions, rewards: NDArray[np.float64] | None, normalise: bool
+) -> SafeMDP:
     """The model in the form that suits it: a table if every action has one successor."""
     num_states, num_actions = transitions.num_states, transitions.num_actions
     row = transitions.source * num_actions + transitions.action
@@ -231,6 +257,7 @@ def _compact(transitions: Transitions, rewards: NDArray[np.float64] | None) -> S
         "state_names": transitions.state_names,
         "action_names": transitions.action_names,
         "geometry": transitions.geometry,
+        "normalise": normalise,
     }
     model = SafeMDP.stochastic(
         _kernel(transitions, row),
@@ -249,12 +276,12 @@ def _compact(transitions: Transitions, rewards: NDArray[np.float64] | None) -> S
 
 
 def _kernel(transitions: Transitions, row: Integers) -> Any:
-    from scipy import sparse
-
     rows = transitions.num_states * transitions.num_actions
     if transitions.probability.dtype != object:
+        from scipy import sparse
+
         entries = (transitions.probability, (row, transitions.target))
         return sparse.coo_array(entries, shape=(rows, transitions.num_states))
-    dense = np.full((rows, transitions.num_states), Fraction(0), dtype=object)
-    np.add.at(dense, (row, transitions.target), transitions.probability)
-    return dense.reshape(transitions.num_states, transitions.num_actions, -1)
+    return ExactEntries(
+        row, transitions.target, transitions.probability, (rows, transitions.num_states)
+    )

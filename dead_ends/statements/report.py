@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from dead_ends.bellman import evaluate_policy, value_iteration
 from dead_ends.discount import power, scientific
 from dead_ends.labels import classify
-from dead_ends.model import SafeMDP
+from dead_ends.model import SafeMDP, require_type
 from dead_ends.policies import allowed_actions, greedy_actions, recovery_policy
 from dead_ends.policy_input import as_distribution, check_policy
 from dead_ends.precision import UndecidedError
@@ -126,6 +126,7 @@ def verify_report(
             epsilon_safe that is not positive, or if no float is a threshold and the discount is
             no Fraction.
     """
+    require_type(model, SafeMDP, "verify_report")
     if epsilon_safe is not None and not epsilon_safe > 0:
         raise ValueError(f"epsilon_safe must be positive, not {epsilon_safe}")
     exact = None if model.is_deterministic or model.available.size > EXACT_PAIRS else True

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from deep.folder import new_file
 from deep.online.choose import choose_threshold, write_choice
 
 
@@ -15,7 +16,7 @@ class ChooseThreshold:
     Attributes:
         run_folder: a finished training run with another threshold for each seed.
         baseline: a training run of SAC on the same task.
-        out: the JSON file to write.
+        out: the JSON file to write, a new one.
         share: the largest candidate with at most this share of SAC's violations is taken.
     """
 
@@ -26,7 +27,8 @@ class ChooseThreshold:
 
     def run(self) -> None:
         """Choose, write, and say why."""
-        choice = choose_threshold(self.run_folder, self.baseline, self.share)
-        write_choice(choice, self.out)
+        with new_file(self.out):
+            choice = choose_threshold(self.run_folder, self.baseline, self.share)
+            write_choice(choice, self.out)
         held = "" if choice.met else " (none is as safe as that)"
         print(f"{self.out}: {choice.threshold:g}, {choice.allowed:.1f} violations allowed{held}")

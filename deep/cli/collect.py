@@ -10,9 +10,13 @@ import numpy as np
 import tyro
 
 from deep.config import Mix
-from deep.data import summarise
+from deep.data import Transitions, summarise
+from deep.folder import new_file
 from deep.formats import write_hdf5
+from deep.online.fleet import GYM, REAL, check_rules
+from deep.online.offline_data import collect_in_environments
 from deep.tasks import make_task
+from deep.tasks.gym import NO_RULES, Rules
 
 
 @dataclass(frozen=True)
@@ -20,19 +24,29 @@ class Collect:
     """Collect offline data from a task.
 
     Attributes:
-        task: the task's name.
-        out: the HDF5 file to write.
+        task: the name of a task; "real:" before it means Safety-Gymnasium's own, "gym:" any
+            Gymnasium environment of that id.
+        out: the HDF5 file to write, a new one.
         seed: of the collection.
+        rules: what an environment of "gym:" leaves open.
         mix: who acts, and what is kept.
     """
 
     task: str
     out: Path
     seed: int = 0
+    rules: Annotated[Rules, tyro.conf.arg(name="")] = NO_RULES
     mix: Annotated[Mix, tyro.conf.arg(name="")] = field(default_factory=Mix)
 
     def run(self) -> None:
         """Collect, write, and say what there is."""
-        data = self.mix.collect(make_task(self.task), np.random.default_rng(self.seed))
-        write_hdf5(data, self.out)
+        with new_file(self.out):
+            write_hdf5(data := self._data(), self.out)
         print(f"{self.out}: {summarise(data)}")
+
+    def _data(self) -> Transitions:
+        check_rules(self.task, self.rules)
+        rng = np.random.default_rng(self.seed)
+        if self.task.startswith((REAL, GYM)):
+            return collect_in_environments(self.task, self.mix, self.rules, rng)
+        return self.mix.collect(make_task(self.task), rng)

@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from deep.compare import CompareConfig, compare, summary_table
+from deep.folder import only_process
 
 
 @dataclass(frozen=True)
@@ -22,4 +23,5 @@ class Compare:
 
     def run(self) -> None:
         """Train, score, and print the table."""
-        print(summary_table(compare(self.config)))
+        with only_process(self.config.out):
+            print(summary_table(compare(self.config)))

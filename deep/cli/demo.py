@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from deep.demo import DemoConfig, demo
+from deep.folder import only_process
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,9 @@ class Demo:
 
     def run(self) -> None:
         """Train, draw, and print each seed's two shares."""
-        for task, scores in demo(self.config).items():
+        with only_process(self.config.out):
+            found = demo(self.config)
+        for task, scores in found.items():
             for seed, score in zip(self.config.seeds, scores, strict=True):
                 print(
                     f"{task}, seed {seed}: {100 * score.dead_called_safe:.2f}% of the dead states "

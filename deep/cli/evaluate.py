@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from deep.cli.seeds import seed_lines
+from deep.folder import only_process
 from deep.online.choose import read_threshold
 from deep.online.plug import evaluate_policies
+from deep.tasks.gym import NO_RULES, Rules
 
 
 @dataclass(frozen=True)
@@ -22,6 +27,7 @@ class Evaluate:
         threshold_from: take the threshold from a file that choose-threshold wrote.
         episodes: whole episodes a seed.
         task: evaluate there instead of where the policies were trained.
+        rules: what an environment of "gym:" leaves open; by default those of the training run.
     """
 
     policy: Path
@@ -31,6 +37,7 @@ class Evaluate:
     threshold_from: Path | None = None
     episodes: int = 500
     task: str | None = None
+    rules: Annotated[Rules, tyro.conf.arg(name="")] = NO_RULES
 
     def run(self) -> None:
         """Evaluate, and say what came out."""
@@ -39,14 +46,16 @@ class Evaluate:
             if threshold is not None:
                 raise ValueError("give either threshold or threshold_from")
             threshold = read_threshold(self.threshold_from)
-        seeds = evaluate_policies(
-            self.policy,
-            self.safety,
-            self.out,
-            threshold=threshold,
-            episodes=self.episodes,
-            task=self.task,
-        )
+        with only_process(self.out):
+            seeds = evaluate_policies(
+                self.policy,
+                self.safety,
+                self.out,
+                threshold=threshold,
+                episodes=self.episodes,
+                task=self.task,
+                rules=None if self.rules == NO_RULES else self.rules,
+            )
         for line in seed_lines(seeds):
             print(line)
         print(self.out / "result.json")

@@ -9,10 +9,11 @@ from typing import Annotated
 import tyro
 
 from dead_ends.io.atomic import atomic_path
-from deep.folder import read_object
+from deep.folder import only_process, read_object
 from deep.grid import JobsFailedError, failure_table, run_jobs
 from deep.job_backends import BackendName
 from deep.study import StudyConfig, study_jobs
+from deep.tasks.gym import NO_RULES
 
 __all__ = ["Grid", "remember"]
 
@@ -43,7 +44,8 @@ class Grid:
             ValueError: if the folder holds a study with other settings.
             JobsFailedError: with the table of those that failed.
         """
-        remember(self.config)
+        with only_process(self.config.out):
+            remember(self.config)
         result = run_jobs(
             study_jobs(self.config),
             logs=self.config.out / "logs",
@@ -76,7 +78,8 @@ def remember(config: StudyConfig) -> None:
         with atomic_path(path) as temporary:
             temporary.write_text(json.dumps(plain, indent=2) + "\n")
         return
-    found = read_object(path, *plain)
+    before_rules = {"rules": asdict(NO_RULES)}  # a study that was begun before there were any
+    found = before_rules | read_object(path, *(plain.keys() - before_rules.keys()))
     for name, value in plain.items():
         if found[name] != value:
             raise ValueError(f"{config.out} holds a study with {name} {found[name]}, not {value}")

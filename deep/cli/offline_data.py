@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from deep.data import summarise
+from deep.folder import new_file
 from deep.formats import write_hdf5
 from deep.online.offline_data import offline_data, training_run
 
@@ -18,7 +19,7 @@ class OfflineData:
 
     Attributes:
         run_folder: a finished run of SAC with ``--keep-replay``.
-        out: the HDF5 file to write.
+        out: the HDF5 file to write, a new one.
         seed: whose replay, and of the random actions.
         random: transitions with uniform random actions, before the filter.
         keep: only so many steps before each violation; None: everything.
@@ -34,7 +35,7 @@ class OfflineData:
         """Put them together, write, and say what there is."""
         task = training_run(self.run_folder).task
         rng = np.random.default_rng(self.seed)
-        data = offline_data(task, self.run_folder, self.seed, self.random, self.keep, rng)
-        self.out.parent.mkdir(parents=True, exist_ok=True)
-        write_hdf5(data, self.out)
+        with new_file(self.out):
+            data = offline_data(task, self.run_folder, self.seed, self.random, self.keep, rng)
+            write_hdf5(data, self.out)
         print(f"{self.out}: {summarise(data)}")

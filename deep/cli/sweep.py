@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from deep.folder import only_process
 from deep.sweep import SweepConfig, sweep
 
 
@@ -22,5 +23,6 @@ class Sweep:
 
     def run(self) -> None:
         """Train, score, draw."""
-        sweep(self.config)
+        with only_process(self.config.out):
+            sweep(self.config)
         print(self.config.out / "sweep.png")

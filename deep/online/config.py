@@ -13,6 +13,7 @@ from deep.online.learner import TaskLearner, TaskSettings
 from deep.online.sac import Sac, SacSettings
 from deep.online.wcsac import Wcsac, WcsacSettings
 from deep.pretrain.learner import Sizes
+from deep.tasks.gym import NO_RULES, Rules, rules_from_json
 
 __all__ = [
     "TaskMethod",
@@ -40,6 +41,7 @@ class TrainConfig:
     Attributes:
         task: the name of a task; "real:" before it means Safety-Gymnasium's own, "gym:" any
             Gymnasium environment of that id.
+        rules: what an environment of "gym:" leaves open.
         method: the task policy's learner, with its settings.
         safety: the folder of a pretraining run.
         safety_seeds: whose filters the seeds use; None: each seed its own.
@@ -60,6 +62,7 @@ class TrainConfig:
     """
 
     task: str
+    rules: Annotated[Rules, tyro.conf.arg(name="")] = NO_RULES
     method: TaskMethod = field(default_factory=SacSettings)
     safety: Path | None = None
     safety_seeds: tuple[int, ...] | None = None
@@ -139,8 +142,10 @@ def task_method_name(settings: TaskSettings) -> str:
 
 
 def train_config_to_json(config: TrainConfig) -> dict[str, Any]:
-    """Plain values; the method by its name and settings."""
+    """Plain values; the method by its name and settings, rules only where there are some."""
     plain = asdict(config)
+    if config.rules == NO_RULES:
+        del plain["rules"]
     plain["safety"] = None if config.safety is None else str(config.safety)
     plain["method"] = {"name": task_method_name(config.method), **plain["method"]}
     return plain
@@ -156,8 +161,7 @@ def train_config_from_json(plain: dict[str, Any]) -> TrainConfig:
         settings = dict(plain["method"])
         kind = LEARNERS[settings.pop("name")]
         safety = None if plain["safety"] is None else Path(plain["safety"])
-        return from_plain(
-            TrainConfig, plain | {"method": from_plain(kind, settings), "safety": safety}
-        )
+        nested = {"method": from_plain(kind, settings), "rules": rules_from_json(plain)}
+        return from_plain(TrainConfig, plain | nested | {"safety": safety})
     except (KeyError, TypeError) as error:
         raise ValueError(f"not the configuration of a run: {error}") from error

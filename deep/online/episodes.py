@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from deep.online.fleet import environment_seed, make_vector_env
 from deep.safety_filter import SafetyFilter, Watch
+from deep.tasks.gym import NO_RULES, Rules
 
 __all__ = ["Act", "Episodes", "run_episodes"]
 
@@ -71,6 +72,7 @@ def run_episodes(
     episodes: int,
     seed: int,
     copies: int | None = None,
+    rules: Rules = NO_RULES,
 ) -> Episodes:
     """Run ``episodes`` whole episodes, behind a filter if there is one.
 
@@ -81,6 +83,7 @@ def run_episodes(
         episodes: how many; copy i of n runs the i-th, the (i + n)-th and so on.
         seed: of the environments.
         copies: at once; one an episode by default.
+        rules: as for the task.
 
     Raises:
         ValueError: if ``episodes`` or ``copies`` is not positive.
@@ -88,7 +91,7 @@ def run_episodes(
     if episodes < 1 or (copies is not None and copies < 1):
         raise ValueError("episodes and copies must be at least 1")
     n = min(copies or episodes, episodes)
-    env = make_vector_env(task, n)
+    env = make_vector_env(task, n, rules)
     quota = np.full(n, episodes // n) + (np.arange(n) < episodes % n)
     begun = np.zeros(n, dtype=np.int64)  # episodes that this copy has ended
     returns, lengths = np.zeros(episodes), np.zeros(episodes, dtype=np.int64)

@@ -13,13 +13,14 @@ from deep.correction import action_bounds
 from deep.pretrain.learner import Sizes
 from deep.safety_filter import Bounds, Normalisation
 from deep.tasks import TaskVectorEnv, make_task
-from deep.tasks.gym import GymVectorEnv
+from deep.tasks.gym import NO_RULES, GymVectorEnv, Rules
 from deep.tasks.safety_gym.real import RealVectorEnv
 
 __all__ = [
     "Arrived",
     "Fleet",
     "check_fit",
+    "check_rules",
     "check_units",
     "environment_seed",
     "evaluation_copies",
@@ -38,23 +39,40 @@ FOREIGN_COPIES = 4
 Env = VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]
 
 
-def make_vector_env(task: str, copies: int) -> TaskVectorEnv | RealVectorEnv | GymVectorEnv:
+def make_vector_env(
+    task: str, copies: int, rules: Rules = NO_RULES
+) -> TaskVectorEnv | RealVectorEnv | GymVectorEnv:
     """``copies`` of a task.
 
     Args:
         task: a task's name; "real:" before it means Safety-Gymnasium's own, "gym:" any
             Gymnasium environment of that id.
         copies: at least one.
+        rules: what an environment of "gym:" leaves open.
 
     Raises:
         ValueError: if there is no such task, it does not fit, or Safety-Gymnasium is not
-            installed.
+            installed; if there are rules for another task than one of "gym:".
     """
+    check_rules(task, rules)
     if task.startswith(REAL):
         return RealVectorEnv(task.removeprefix(REAL), copies)
     if task.startswith(GYM):
-        return GymVectorEnv(task.removeprefix(GYM), copies)
+        return GymVectorEnv(task.removeprefix(GYM), copies, rules)
     return TaskVectorEnv(make_task(task), copies)
+
+
+def check_rules(task: str, rules: Rules) -> None:
+    """Refuse rules for a task that leaves nothing open.
+
+    Raises:
+        ValueError: if there are rules for another task than one of "gym:".
+    """
+    if rules != NO_RULES and not task.startswith(GYM):
+        raise ValueError(
+            f"{task} knows its violations and its time limit: violation, termination_is_violation "
+            f"and time_limit are for environments of {GYM!r}"
+        )
 
 
 def evaluation_copies(task: str) -> int | None:
@@ -62,14 +80,14 @@ def evaluation_copies(task: str) -> int | None:
     return FOREIGN_COPIES if task.startswith((REAL, GYM)) else None
 
 
-def task_sizes(task: str) -> Sizes:
+def task_sizes(task: str, rules: Rules = NO_RULES) -> Sizes:
     """Dimensions of a task's observations and actions."""
-    return task_spaces(task)[0]
+    return task_spaces(task, rules)[0]
 
 
-def task_spaces(task: str) -> tuple[Sizes, Bounds]:
+def task_spaces(task: str, rules: Rules = NO_RULES) -> tuple[Sizes, Bounds]:
     """The same, and the bounds of its actions in the environment's own units."""
-    fleet = Fleet(task, (0,), 1)
+    fleet = Fleet(task, (0,), 1, rules)
     try:
         return Sizes(fleet.observation_dim, fleet.action_dim), fleet.action_bounds
     finally:
@@ -143,16 +161,19 @@ class Fleet:
         task: as for :func:`make_vector_env`.
         seeds: the K seeds.
         copies: N.
+        rules: as for :func:`make_vector_env`.
 
     Raises:
         ValueError: if there is no seed, or as for :func:`make_vector_env`.
     """
 
-    def __init__(self, task: str, seeds: Sequence[int], copies: int) -> None:
+    def __init__(
+        self, task: str, seeds: Sequence[int], copies: int, rules: Rules = NO_RULES
+    ) -> None:
         if not seeds:
             raise ValueError("seeds: give at least one")
         self.seeds = tuple(seeds)
-        self.envs = [make_vector_env(task, copies) for _ in seeds]
+        self.envs = [make_vector_env(task, copies, rules) for _ in seeds]
 
     @property
     def observation_dim(self) -> int:

@@ -10,20 +10,21 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import torch
+import tyro
 from tqdm import tqdm
 
 from deep.batches import Batches
 from deep.checkpoint import load_checkpoint, save_checkpoint
 from deep.data import Transitions
-from deep.folder import CsvLog, InterruptAfterUpdate, fingerprint
+from deep.folder import CsvLog, InterruptAfterUpdate, fingerprint, only_process
 from deep.formats import read_hdf5
 from deep.normalise import normalisation_of_observations, normalise, ranges_of, with_action_bounds
-from deep.online.fleet import check_fit, task_spaces
+from deep.online.fleet import GYM, check_fit, task_spaces
 from deep.online.iql import Iql, IqlSettings
 from deep.online.learner import TaskBatch, TaskLosses
 from deep.online.results import (
@@ -43,6 +44,7 @@ from deep.online.results import (
 )
 from deep.pretrain.learner import Sizes
 from deep.safety_filter import Bounds, Normalisation
+from deep.tasks.gym import NO_RULES, Rules
 
 __all__ = ["OfflineConfig", "task_batch", "train_offline"]
 
@@ -56,6 +58,9 @@ class OfflineConfig:
     Attributes:
         task: where the policies are evaluated, as in training online ("real:", "gym:").
         data: an HDF5 file of transitions.
+        rules: what an environment of "gym:" leaves open; ``violation`` is of the data too.
+        cut: end the file's episodes at every violation, see
+            :func:`deep.data.cut_at_violation`.
         method: the learner's settings.
         seeds: trained side by side; seed k alone gives the same.
         updates: minibatch updates.
@@ -68,6 +73,8 @@ class OfflineConfig:
 
     task: str
     data: Path
+    rules: Annotated[Rules, tyro.conf.arg(name="")] = NO_RULES
+    cut: bool = False
     method: IqlSettings = field(default_factory=IqlSettings)
     seeds: tuple[int, ...] = (0,)
     updates: int = 100_000
@@ -83,9 +90,17 @@ class OfflineConfig:
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}")
 
+    @property
+    def environment_rules(self) -> Rules:
+        """Those of the environment: that of the data's violations only where it is of "gym:"."""
+        return self.rules if self.task.startswith(GYM) else replace(self.rules, violation=None)
+
     def to_json(self) -> dict[str, Any]:
-        """Plain values; the method by its name and settings."""
+        """Plain values; the method by its name and settings, rules only where there are some."""
         plain = asdict(self)
+        for name, default in (("rules", asdict(NO_RULES)), ("cut", False)):
+            if plain[name] == default:
+                del plain[name]
         plain["data"] = str(self.data)
         plain["method"] = {"name": Iql.name, **plain["method"]}
         return plain
@@ -97,16 +112,18 @@ def train_offline(config: OfflineConfig, folder: Path, *, quiet: bool = False) -
     An interrupt (Ctrl-C) is passed on after the update at work and a checkpoint.
 
     Raises:
-        ValueError: for a folder with another run, or data that do not fit the task.
+        ValueError: for a folder with another run, or another process at work, or data that do
+            not fit the task.
         FloatingPointError: if a loss is not a number; the last checkpoint stays.
     """
-    data = fingerprint(config.data)
-    check_folder(folder, config.to_json(), data)
-    if not (folder / "result.json").exists():
-        run = _Run(config, folder, data)
-        run.train(quiet)
-        run.finish()
-    return read_result(folder)
+    with only_process(folder):
+        data = fingerprint(config.data)
+        check_folder(folder, config.to_json(), data)
+        if not (folder / "result.json").exists():
+            run = _Run(config, folder, data)
+            run.train(quiet)
+            run.finish()
+        return read_result(folder)
 
 
 def task_batch(batches: Batches, update: int) -> TaskBatch:
@@ -131,8 +148,8 @@ class _Run:
     def __init__(self, config: OfflineConfig, folder: Path, known: str | None) -> None:
         self.config = config
         self.folder = folder
-        sizes, bounds = task_spaces(config.task)
-        data = read_hdf5(config.data)
+        sizes, bounds = task_spaces(config.task, config.environment_rules)
+        data = read_hdf5(config.data, cut=config.cut, violation=config.rules.violation)
         _check_fit(config, data, sizes, bounds)
         seen = normalisation_of_observations(data.observations, sizes.action)
         self.normalisation = with_action_bounds(seen, bounds)
@@ -201,7 +218,10 @@ class _Run:
         config = self.config
         self._checked(losses)
         policies = task_policies(self.learner, self._normalisations(), Iql.name)
-        found = evaluate(config.task, policies, (), config.evaluation_episodes, EPISODES_KEPT_APART)
+        found = evaluate(
+            config.task, policies, (), config.evaluation_episodes, EPISODES_KEPT_APART,
+            config.environment_rules,
+        )  # fmt: skip
         self.evaluations.write(evaluation_rows(self.updates, config.seeds, found))
 
     def _normalisations(self) -> tuple[Normalisation, ...]:
@@ -211,7 +231,8 @@ class _Run:
         """Evaluate, write the policies, say what came out."""
         config = self.config
         policies = task_policies(self.learner, self._normalisations(), Iql.name)
-        found = evaluate(config.task, policies, (), config.episodes)
+        rules = config.environment_rules
+        found = evaluate(config.task, policies, (), config.episodes, rules=rules)
         save_all(self.folder / "policies", config.seeds, policies)
         budget = {
             "env_steps": 0,

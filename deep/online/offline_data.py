@@ -1,5 +1,7 @@
 """The paper's offline data: a SAC run's replay buffer, and uniform random actions.
 
+And data of random actions alone, from "real:" and "gym:" environments.
+
 Of both only the last steps before violations are kept (the paper: 100), because what lies
 further back says nothing about safety. Random actions are in the mixture since the
 violations of a trained policy resemble each other.
@@ -7,11 +9,16 @@ violations of a trained policy resemble each other.
 
 from __future__ import annotations
 
+from dataclasses import fields
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from deep.collect import collect, random_policy
+from deep.collect import check_shares, collect, kept, random_policy
+from deep.config import Mix
 from deep.data import Transitions, concatenate, keep_before_violation
 from deep.folder import read_object
 from deep.online.config import TrainConfig, train_config_from_json
@@ -19,8 +26,9 @@ from deep.online.fleet import Fleet, check_units, evaluation_copies, task_spaces
 from deep.online.replay import Replay
 from deep.task_policy import TrainedPolicy
 from deep.tasks import make_task
+from deep.tasks.gym import Rules
 
-__all__ = ["offline_data", "replayed", "training_run"]
+__all__ = ["collect_in_environments", "offline_data", "replayed", "training_run"]
 
 SEEDS = 2**31
 
@@ -53,7 +61,7 @@ def replayed(folder: Path, seed: int) -> Transitions:
         raise ValueError(f"{folder}: not a finished run that kept its replay buffer")
     if seed not in config.seeds:
         raise ValueError(f"{folder}: there is no seed {seed}, only {list(config.seeds)}")
-    sizes, bounds = task_spaces(config.task)
+    sizes, bounds = task_spaces(config.task, config.rules)
     policy = TrainedPolicy.load(folder / "policies" / f"seed{seed}.safetensors")
     check_units(f"{folder}: it recorded", policy.normalisation, config.task, bounds)
     replay = Replay(
@@ -88,34 +96,69 @@ def offline_data(
     parts = [keep_before_violation(replayed(runs, seed), keep)]
     if random:
         try:
-            drawn = _random_transitions(task, random, rng)
+            drawn = _random_transitions(task, random, training_run(runs).rules, rng)
         except ValueError as error:
             raise ValueError(f"{task}, {random} random actions: {error}") from error
         parts.append(keep_before_violation(drawn, keep))
     return concatenate(parts)
 
 
-def _random_transitions(task: str, transitions: int, rng: np.random.Generator) -> Transitions:
+def _random_transitions(
+    task: str, transitions: int, rules: Rules, rng: np.random.Generator
+) -> Transitions:
     """At least so many, with uniform random actions."""
     copies = evaluation_copies(task)
     if copies is not None:
-        return _in_environments(task, transitions, copies, rng)
+        return Transitions(**_in_environments(task, transitions, copies, rules, rng))
     known = make_task(task)
     return collect(known, random_policy(known), rng, transitions)
 
 
-def _in_environments(
-    task: str, transitions: int, copies: int, rng: np.random.Generator
+def collect_in_environments(
+    task: str, mix: Mix, rules: Rules, rng: np.random.Generator
 ) -> Transitions:
-    """The same where there is no batch-vectorised task, but a "real:" or "gym:" environment."""
-    fleet = Fleet(task, (int(rng.integers(SEEDS)),), copies)
+    """What :meth:`deep.config.Mix.collect` is for tasks, for a "real:" or "gym:" environment.
+
+    Raises:
+        ValueError: if the mixture wants what only tasks know, its shares do not sum to 1, or too
+            few transitions lie before violations.
+    """
+    if mix.adversary or mix.anywhere or mix.max_steps is not None:
+        raise ValueError(
+            f"{task}: adversary, anywhere and max_steps are for this project's own tasks, of which "
+            "it knows obstacles and states"
+        )
+    copies = evaluation_copies(task)
+    assert copies is not None
+    shares = ((False, mix.random), (True, mix.corners))
+    actors = [(corners, share) for corners, share in shares if share != 0]
+    counts = check_shares([share for _, share in actors], mix.transitions)
+    parts = []
+    for (corners, _), count in zip(actors, counts, strict=True):
+        draw = partial(_in_environments, task, copies=copies, rules=rules, rng=rng, corners=corners)
+        if count:
+            parts.append(kept(task, draw, mix.keep, count))
+    return concatenate(parts)
+
+
+def _in_environments(
+    task: str,
+    transitions: int,
+    copies: int,
+    rules: Rules,
+    rng: np.random.Generator,
+    corners: bool = False,
+) -> dict[str, NDArray[Any]]:
+    """Columns of random actions, uniform or at the ends of their range, in such environments."""
+    fleet = Fleet(task, (int(rng.integers(SEEDS)),), copies, rules)
     low, high = np.array(fleet.action_bounds.low), np.array(fleet.action_bounds.high)
     steps = []
     try:
         observation = fleet.reset()
         for _ in range(-(-transitions // copies)):
             drawn = rng.uniform(low, high, (1, copies, fleet.action_dim))
-            action = drawn.astype(np.float32)
+            ends = np.where(drawn < (low + high) / 2, low, high)
+            action = (ends if corners else drawn).astype(np.float32)
             following, last, *outcome = fleet.step(action)
             steps.append((observation, action, last, *outcome))
             observation = following
@@ -125,4 +168,6 @@ def _in_environments(
     columns = [np.stack(column, axis=2)[0] for column in zip(*steps, strict=True)]
     terminal, timeout = columns[-2:]
     timeout[:, -1] |= ~terminal[:, -1]
-    return Transitions(*(column.reshape(-1, *column.shape[2:]) for column in columns))
+    names = [field.name for field in fields(Transitions)]
+    flat = [column.reshape(-1, *column.shape[2:]) for column in columns]
+    return dict(zip(names, flat, strict=True))

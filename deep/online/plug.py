@@ -10,13 +10,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from deep.folder import read_object
+from deep.folder import check_unused, read_object
 from deep.online.fleet import check_fit, check_units, task_spaces
 from deep.online.pretrained import load_filters
-from deep.online.results import evaluate, seed_entry, write_result
+from deep.online.results import evaluate, run_rules, seed_entry, write_result
 from deep.pretrain.learner import Sizes
 from deep.safety_filter import SafetyFilter
 from deep.task_policy import TrainedPolicy
+from deep.tasks.gym import NO_RULES, Rules
 
 __all__ = ["evaluate_policies"]
 
@@ -29,6 +30,7 @@ def evaluate_policies(
     threshold: float | None = None,
     episodes: int = 500,
     task: str | None = None,
+    rules: Rules | None = None,
 ) -> tuple[dict[str, Any], ...]:
     """Whole episodes of every seed of a training run, behind a filter if there is one.
 
@@ -40,11 +42,13 @@ def evaluate_policies(
         threshold: epsilon; None: each filter's own.
         episodes: whole episodes a seed.
         task: evaluate there instead of where the policies were trained.
+        rules: what an environment of "gym:" leaves open; None: where the policies were trained,
+            their run's, elsewhere nothing.
 
     Raises:
         ValueError: if a run is missing or unfinished, lacks a seed or does not fit the task
-            (dimensions, action bounds), if ``out`` holds a run, or a threshold is given
-            without filters.
+            (dimensions, action bounds), if ``out`` holds a run or an evaluation, or a threshold
+            is given without filters.
     """
     if threshold is not None and safety is None:
         raise ValueError("threshold needs filters: safety")
@@ -53,15 +57,18 @@ def evaluate_policies(
         raise ValueError(f"{policies}: not a finished run (no result.json)")
     if (out / "config.json").exists():
         raise ValueError(f"{out} holds a run, whose result an evaluation would replace")
+    check_unused(out)
     run = read_object(path, "task", "method", "seeds", "budget")
     where = task or run["task"]
+    if rules is None:
+        rules = run_rules(policies) if where == run["task"] else NO_RULES
     begin = time.perf_counter()
     numbers = [int(entry["seed"]) for entry in run["seeds"]]
     trained = [
         TrainedPolicy.load(policies / "policies" / f"seed{seed}.safetensors") for seed in numbers
     ]
     gates = [] if safety is None else _filters(safety, numbers, threshold)
-    sizes, bounds = task_spaces(where)
+    sizes, bounds = task_spaces(where, rules)
     for folder, kind, made in ((policies, "policies", trained), (safety, "filters", gates)):
         for one in made:
             n = one.normalisation
@@ -75,7 +82,7 @@ def evaluate_policies(
         seed_entry(seed, found, tv=None, episodes=None, training_arr=None, threshold=epsilon)
         for seed, found, epsilon in zip(
             numbers,
-            evaluate(where, trained, gates, episodes),
+            evaluate(where, trained, gates, episodes, rules=rules),
             thresholds or [None] * len(numbers),
             strict=True,
         )

@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from dead_ends.io.atomic import atomic_path
-from deep.folder import read_object, versions
+from deep.folder import check_unused, read_object, versions
 from deep.online.episodes import Episodes, run_episodes
-from deep.online.fleet import evaluation_copies
+from deep.online.fleet import GYM, evaluation_copies
 from deep.online.learner import TaskLearner, TaskLosses
 from deep.safety_filter import Normalisation, SafetyFilter
 from deep.task_policy import TrainedPolicy
+from deep.tasks.gym import NO_RULES, Rules, rules_from_json
 
 __all__ = [
     "EPISODES_KEPT_APART",
@@ -30,6 +31,7 @@ __all__ = [
     "evaluation_rows",
     "open_folder",
     "read_result",
+    "run_rules",
     "save_all",
     "seed_entry",
     "task_policies",
@@ -65,10 +67,12 @@ def check_folder(folder: Path, plain: dict[str, Any], data: str | None = None) -
         data: the fingerprint of the data it learns from, if they are a file.
 
     Raises:
-        ValueError: if the folder holds another run, or the data have changed since.
+        ValueError: if the folder holds another run, or what no run here has written, or the
+            data have changed since.
     """
     path = folder / "config.json"
     if not path.exists():
+        check_unused(folder)
         return
     content = read_object(path, "run")
     if content["run"] != json.loads(json.dumps(plain)):
@@ -87,6 +91,21 @@ def open_folder(folder: Path, plain: dict[str, Any], data: str | None = None) ->
         folder.mkdir(parents=True, exist_ok=True)
         made = {"run": plain, "made with": versions()}
         _write_json(path, made | ({"data": data} if data else {}))
+
+
+def run_rules(folder: Path) -> Rules:
+    """What the run in this folder took its environment's rules to be.
+
+    Raises:
+        ValueError: if there is no run of a task policy.
+    """
+    path = folder / "config.json"
+    run = read_object(path, "run")["run"]
+    try:
+        rules, task = rules_from_json(run), str(run["task"])
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"{path}: not the run of a task policy ({error})") from error
+    return rules if task.startswith(GYM) else NO_RULES
 
 
 def checked_losses(seed: int, k: int, losses: TaskLosses | None, moment: str) -> list[str]:
@@ -130,6 +149,7 @@ def evaluate(
     filters: Sequence[SafetyFilter | None],
     episodes: int,
     stream: int = 0,
+    rules: Rules = NO_RULES,
 ) -> list[Episodes]:
     """Whole episodes of every policy's mean action, each behind its filter if there is one.
 
@@ -137,7 +157,7 @@ def evaluate(
     """
     copies = evaluation_copies(task)
     return [
-        run_episodes(task, policy.act, safety, episodes, policy.seed + stream, copies)
+        run_episodes(task, policy.act, safety, episodes, policy.seed + stream, copies, rules)
         for policy, safety in zip(policies, filters or [None] * len(policies), strict=True)
     ]
 

@@ -27,7 +27,7 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from deep.checkpoint import load_checkpoint, save_checkpoint
-from deep.folder import CsvLog, InterruptAfterUpdate
+from deep.folder import CsvLog, InterruptAfterUpdate, only_process
 from deep.normalise import with_action_bounds
 from deep.online.config import (
     TrainConfig,
@@ -78,18 +78,20 @@ def train(config: TrainConfig, folder: Path, *, quiet: bool = False) -> TrainRes
     An interrupt (Ctrl-C) is passed on after the step at work and a checkpoint.
 
     Raises:
-        ValueError: for a folder with another run, or a pretraining that does not fit.
+        ValueError: for a folder with another run, or another process at work, or a pretraining
+            that does not fit.
         FloatingPointError: if a loss is not a number; the last checkpoint stays.
     """
-    check_folder(folder, train_config_to_json(config))
-    if not (folder / "result.json").exists():
-        run = _Run(config, folder)
-        try:
-            run.train(quiet)
-            run.finish()
-        finally:
-            run.fleet.close()
-    return read_result(folder)
+    with only_process(folder):
+        check_folder(folder, train_config_to_json(config))
+        if not (folder / "result.json").exists():
+            run = _Run(config, folder)
+            try:
+                run.train(quiet)
+                run.finish()
+            finally:
+                run.fleet.close()
+        return read_result(folder)
 
 
 def method_of(config: TrainConfig) -> str:
@@ -115,7 +117,7 @@ class _Run:
         self.config = config
         self.folder = folder
         self.method = method_of(config)
-        self.fleet = Fleet(config.task, config.seeds, config.copies)
+        self.fleet = Fleet(config.task, config.seeds, config.copies, config.rules)
         sizes = Sizes(self.fleet.observation_dim, self.fleet.action_dim)
         self.learner = build_task_learner(config, sizes)
         # Actions are kept in the environment's units; the learner's fill [-1, 1].
@@ -257,7 +259,7 @@ class _Run:
         config = self.config
         found = evaluate(
             config.task, self.policies(), self.gate.filters(), config.evaluation_episodes,
-            EPISODES_KEPT_APART,
+            EPISODES_KEPT_APART, config.rules,
         )  # fmt: skip
         self.evaluations.write(evaluation_rows(done, config.seeds, found))
 
@@ -270,7 +272,7 @@ class _Run:
         """Evaluate, write policies and filters, say what came out, forget the replay buffer."""
         config, counts = self.config, self.counts
         policies, filters = self.policies(), self.gate.filters()
-        found = evaluate(config.task, policies, filters, config.episodes)
+        found = evaluate(config.task, policies, filters, config.episodes, rules=config.rules)
         save_all(self.folder / "policies", config.seeds, policies)
         save_all(self.folder / "filters", config.seeds, filters)
         thresholds = [f.threshold for f in filters] or self.learner.limits

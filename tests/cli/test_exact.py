@@ -107,8 +107,10 @@ def test_exactly_decimals_are_what_is_written(capsys: pytest.CaptureFixture[str]
     assert "gamma_safe**2 = 81/100, for example" in capsys.readouterr().out
     assert main(["label", "FrozenLake-v1", "--exact"]) == 2
     assert capsys.readouterr().err.endswith(
-        "not exactly 1: exactly, a float is its shortest decimal; give the model in fractions\n"
+        "not exactly 1; normalise=True (--normalise) divides such probabilities by their sum "
+        "(exactly, a float is its shortest decimal)\n"
     )
+    assert main(["label", "FrozenLake-v1", "--exact", "--normalise"]) == 0
 
 
 def test_an_estimate_is_called_one(capsys: pytest.CaptureFixture[str]) -> None:

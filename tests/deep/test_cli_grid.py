@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -66,3 +67,9 @@ def test_a_folder_holds_one_study(
     assert main(["grid", "--out", str(out), "--tasks", "brake", "--seeds", "0"]) == 2
     assert capsys.readouterr().err.endswith("holds a study with seeds [0, 1], not [0]\n")
     assert (out / "study.json").read_bytes() == before
+    assert main([*study, "--time-limit", "5"]) == 2
+    assert "holds a study with rules {" in capsys.readouterr().err
+    content = json.loads(before)
+    del content["rules"]
+    (out / "study.json").write_text(json.dumps(content))
+    assert main(study) == 0

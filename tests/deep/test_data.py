@@ -1,14 +1,13 @@
-"""Offline data: what is collected, kept, written and read; and what is refused."""
+"""Offline data: what is collected and kept; and what is refused."""
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
-from pathlib import Path
-from typing import ClassVar
+from dataclasses import replace
 
-import h5py
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from deep.collect import (
     Source,
@@ -27,38 +26,9 @@ from deep.data import (
     keep_before_violation,
     summarise,
 )
-from deep.formats import from_minari, read_hdf5, to_minari, write_hdf5
-from deep.tasks import Brake, make_task, navigation2
+from deep.tasks import make_task, navigation2
 from deep.tasks.shapes import inside_any
-
-BRAKE = Brake()
-
-
-def brake_data(seed: int = 0, transitions: int = 2000) -> Transitions:
-    return collect(BRAKE, random_policy(BRAKE), np.random.default_rng(seed), transitions)
-
-
-def episode(costs: list[int], timeout: bool = False) -> dict[str, np.ndarray]:
-    """Raw columns of one episode whose observations count its rows."""
-    n = len(costs)
-    last = np.arange(n) == n - 1
-    return {
-        "observations": np.arange(n)[:, None] * 1.0,
-        "actions": np.zeros((n, 1)),
-        "next_observations": np.arange(1, n + 1)[:, None] * 1.0,
-        "rewards": np.ones(n),
-        "costs": np.array(costs, dtype=float),
-        "terminals": last & (not timeout),
-        "timeouts": last & timeout,
-    }
-
-
-def joined(*episodes: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    return {name: np.concatenate([e[name] for e in episodes]) for name in episodes[0]}
-
-
-def same(a: Transitions, b: Transitions) -> bool:
-    return all(np.array_equal(getattr(a, f.name), getattr(b, f.name)) for f in fields(Transitions))
+from tests.deep.recordings import BRAKE, brake_data, episode, joined, same
 
 
 def test_only_arrays_that_may_change_are_copied() -> None:
@@ -208,8 +178,17 @@ BAD = {
     "costs: row 1 is 0.5; a cost is 1 at a violation": ("costs", [0, 0.5, 1]),
     "there is no violation in the data": ("costs", [0, 0, 0]),
     "costs: row 1 is a violation but its episode goes on": ("costs", [0, 1, 1]),
-    "observations: row 1 holds a NaN": ("observations", [[0.0], [np.nan], [2.0]]),
-    "actions: row 2 holds a NaN or an infinity": ("actions", [[0.0], [0.0], [np.inf]]),
+    "observations: row 1, column 0 is nan, not a finite": ("observations", [[0], [np.nan], [2]]),
+    "actions: row 2, column 0 is inf": ("actions", [[0.0], [0.0], [np.inf]]),
+    r"rewards: row 1 is 1e\+300, not a finite number of float32's": ("rewards", [0, 1e300, 0]),
+    "next_observations: row 0, column 0 is nan": ("next_observations", [[np.nan], [1], [2]]),
+    "costs: row 2 is nan": ("costs", [0, 0, np.nan]),
+    "terminals: row 1 is nan, not 1 where an episode ends, else 0": ("terminals", [0, np.nan, 1]),
+    "timeouts: row 0 is 2.0, not 1 where": ("timeouts", [2.0, 0, 1]),
+    "costs: row 0 has 2 costs, one for each of several constraints": ("costs", [[0, 1]] * 3),
+    "rewards: the values are of type complex128, not real numbers": ("rewards", [0j, 1j, 0j]),
+    "actions: the values are of type <U3, not real numbers": ("actions", [["0.0"]] * 3),
+    "rewards: the values are of type object": ("rewards", [None, 1.0, 2.0]),
     r"rewards has shape \(2,\), expected \(3,\)": ("rewards", [0.0, 0.0]),
     r"actions has shape \(2, 1\), expected \(3, 1\)": ("actions", [[0.0], [0.0]]),
     "next_observations have shape": ("next_observations", [[0.0, 1.0]] * 3),
@@ -224,88 +203,54 @@ def test_bad_data_are_refused(message: str) -> None:
         Transitions(**(episode([0, 0, 1]) | {name: np.array(value)}))
 
 
+def test_what_is_masked_or_ragged_is_refused() -> None:
+    masked = np.ma.array([0.0, 1.0, 2.0], mask=[False, True, False])  # type: ignore[no-untyped-call]  # numpy's
+    with pytest.raises(ValueError, match="^rewards: row 1 is masked$"):
+        Transitions(**(episode([0, 0, 1]) | {"rewards": masked}))
+    with pytest.raises(ValueError, match="^actions: rows differ in length"):
+        Transitions(**(episode([0, 0, 1]) | {"actions": [[0.0], [1.0, 2.0], [0.0]]}))
+
+
 def test_no_data_are_refused() -> None:
     empty = {name: column[:0] for name, column in episode([1]).items()}
     with pytest.raises(ValueError, match="the data hold no transition"):
         Transitions(**empty)
 
 
-def test_episodes_that_go_on_can_be_cut() -> None:
-    raw = joined(episode([0, 1, 0, 1]), episode([0, 0], timeout=True), episode([1, 1, 0]))
+def test_cutting_keeps_every_violation() -> None:
+    raw = joined(episode([0, 1, 0, 0, 1]), episode([0, 0], timeout=True), episode([1, 1, 0]))
     cut = Transitions(**cut_at_violation(raw))
-    assert cut.costs.tolist() == [0, 1, 0, 0, 1]
-    assert cut.terminals.tolist() == [False, True, False, False, True]
-    assert cut.timeouts.tolist() == [False, False, False, True, False]
+    # Only the rows that lead out of a violating state are dropped: one of each long episode.
+    assert cut.observations[:, 0].tolist() == [0, 1, 3, 4, 0, 1, 0, 1]
+    assert cut.costs.tolist() == [0, 1, 0, 1, 0, 0, 1, 1]
+    assert cut.terminals.tolist() == (cut.costs == 1).tolist()
+    assert cut.timeouts.tolist() == [False] * 5 + [True, False, False]
+
+
+def test_episodes_that_go_on_after_violations_are_counted() -> None:
+    message = "row 1 is a violation .* as after 2 of 3 violations; --cut"
+    with pytest.raises(ValueError, match=message):
+        Transitions(**episode([0, 1, 1, 0, 0, 1]))
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=30))
+def test_cutting_loses_neither_violations_nor_rows_from_states_that_had_not_failed(
+    rows: list[tuple[bool, bool]],
+) -> None:
+    costs, ends = map(np.array, zip(*rows, strict=True))
+    raw = episode(costs.tolist()) | {"terminals": np.zeros(len(rows)), "timeouts": ends}
+    cut = cut_at_violation(raw)
+    kept = cut["observations"][:, 0].astype(int)
+    for row in range(len(rows)):
+        failed = row > 0 and costs[row - 1] and not ends[row - 1]
+        assert (row in kept) == (costs[row] or not failed)
+    assert (cut["terminals"] == (cut["costs"] == 1)).all()
+    # What is kept between two ends followed each other in the recording.
+    inside = ~(cut["terminals"] | cut["timeouts"])[:-1]
+    assert (np.diff(kept)[inside] == 1).all()
 
 
 def test_data_are_read_only() -> None:
     data = Transitions(**episode([0, 1]))
     with pytest.raises(ValueError, match="read-only"):
         data.costs[0] = 1
-
-
-def test_hdf5_round_trip_and_another_projects_file(tmp_path: Path) -> None:
-    data = brake_data()
-    path = tmp_path / "brake.hdf5"
-    write_hdf5(data, path)
-    assert same(read_hdf5(path), data)
-    # Somebody else's: float64, (N, 1) columns, no next_observations, costs after a violation.
-    raw = joined(episode([0, 1, 0]), episode([0, 0], timeout=True), episode([0, 1]))
-    with h5py.File(path, "w") as file:
-        for name, column in raw.items():
-            if name != "next_observations":
-                file[name] = column[:, None] if name == "costs" else column
-    with pytest.raises(ValueError, match="brake.hdf5: costs: row 1 is a violation"):
-        read_hdf5(path)
-    read = read_hdf5(path, cut=True)
-    assert read.costs.tolist() == [0, 1, 0, 0, 1]
-    # The row that was cut off has no successor in the file: it is dropped.
-    assert read.observations[:, 0].tolist() == [0, 1, 0, 0, 1]
-    assert read.next_observations[[0, 2, 3], 0].tolist() == [1, 1, 1]
-    assert read.timeouts.tolist() == [False, False, True, False, False]
-
-
-def test_files_that_are_something_else_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="there is no such file"):
-        read_hdf5(tmp_path / "absent.hdf5")
-    text = tmp_path / "text.hdf5"
-    text.write_text("hello")
-    with pytest.raises(ValueError, match="not an HDF5 file"):
-        read_hdf5(text)
-    partial = tmp_path / "partial.hdf5"
-    with h5py.File(partial, "w") as file:
-        file["observations"] = np.zeros((3, 1))
-    with pytest.raises(ValueError, match="the data sets actions, rewards, costs, terminals"):
-        read_hdf5(partial)
-    ragged = tmp_path / "ragged.hdf5"
-    with h5py.File(ragged, "w") as file:
-        for name, column in episode([0, 0, 1]).items():
-            file[name] = column[:2] if name == "rewards" else column
-    with pytest.raises(ValueError, match="differ in length"):
-        read_hdf5(ragged)
-
-
-def test_minari_round_trip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    raw = joined(episode([0, 0, 1]), episode([0, 0], timeout=True), episode([1]))
-    data = Transitions(**raw)
-    dataset = to_minari(data, "deep/test-v0")
-    assert dataset.total_episodes == 3
-    assert same(from_minari(dataset), data)
-
-
-def test_minari_episodes_without_costs_are_refused() -> None:
-    class Episode:
-        id = 4
-        infos: ClassVar[dict[str, object]] = {}
-        rewards = np.zeros(2)
-
-    class Dataset:
-        def iterate_episodes(self) -> list[Episode]:
-            return [Episode()]
-
-    with pytest.raises(ValueError, match=r"episode 4: there is no infos\['cost'\]"):
-        from_minari(Dataset())  # type: ignore[arg-type]  # a stand-in
-    Episode.infos = {"cost": np.zeros(5)}
-    with pytest.raises(ValueError, match="episode 4: 5 costs for 2 steps"):
-        from_minari(Dataset())  # type: ignore[arg-type]  # a stand-in

@@ -137,7 +137,10 @@ def test_a_failed_job_is_reported_and_stops_only_those_that_need_it(
     assert table[4] == "needs-that   blocked  a job that it needs failed"
     said = capsys.readouterr().err
     assert f"t/train/bad failed: exit status 3: it hurts ({logs / 't/train/bad.log'})" in said
-    assert "6/6" in said
+    assert "1/6" in said
+    assert "6/6" not in said
+    assert "100%" not in said
+    assert "3 failed, 2 blocked" in said
 
 
 def test_a_log_has_a_header_grows_and_its_last_line_is_of_the_last_run(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,11 +31,14 @@ from deep.pretrain import DeaRrlAnnealedSettings, RrlSettings
 from deep.run import pretrain
 from deep.safety_filter import Bounds
 from deep.task_policy import TrainedPolicy
-from deep.tasks.gym import GymVectorEnv
+from deep.tasks.gym import NO_RULES, GymVectorEnv, Rules
 from tests.deep.online_runs import table
 
+POSITIVE = Rules(violation="cost > 0")
+ENDS = Rules(termination_is_violation=True)
 PENDULUM = TrainConfig(
     task="gym:Pendulum-v1",
+    rules=ENDS,
     method=SacSettings(hidden=(8,), batch_size=16, reward_scale=1.0),
     seeds=(0, 3),
     steps=820,
@@ -53,7 +56,7 @@ PENDULUM = TrainConfig(
 
 
 class Counter(gymnasium.Env[NDArray[Any], NDArray[Any]]):
-    """Counts its steps, and reports a cost at the third, which it survives."""
+    """Counts its steps, and reports a cost of 0.5 at the third, which it survives."""
 
     def __init__(
         self,
@@ -76,8 +79,8 @@ class Counter(gymnasium.Env[NDArray[Any], NDArray[Any]]):
     def step(self, action: NDArray[Any]) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
         self.done.append(action)
         self.steps += 1
-        cost = {"cost": 0.5} if self.steps == 3 else {}
-        return np.full(1, float(self.steps)), float(self.steps), False, False, cost
+        cost = 0.5 if self.steps == 3 else 0.0
+        return np.full(1, float(self.steps)), float(self.steps), False, False, {"cost": cost}
 
 
 class Rail(gymnasium.Env[NDArray[Any], NDArray[Any]]):
@@ -121,7 +124,7 @@ def counter() -> Iterator[None]:
 
 
 def test_steps_are_those_of_plain_environments() -> None:
-    env = GymVectorEnv("Pendulum-v1", 3)
+    env = GymVectorEnv("Pendulum-v1", 3, ENDS)
     assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     observation, _ = env.reset(seed=7)
     seeds = np.random.default_rng(7).integers(2**31, size=3)
@@ -150,7 +153,7 @@ def test_steps_are_those_of_plain_environments() -> None:
 
 @pytest.mark.usefixtures("counter")
 def test_the_first_cost_ends_the_episode() -> None:
-    fleet = Fleet("gym:test/Counter-v0", (0,), 2)
+    fleet = Fleet("gym:test/Counter-v0", (0,), 2, POSITIVE)
     assert (fleet.observation_dim, fleet.action_dim) == (1, 2)
     observation = fleet.reset()
     for step in range(1, 7):
@@ -164,7 +167,7 @@ def test_the_first_cost_ends_the_episode() -> None:
         assert (observation == step % 3).all()
         assert (arrived.reward == (step - 1) % 3 + 1).all()
     assert fleet.snapshot() is None
-    episodes = run_episodes("gym:test/Counter-v0", still, None, 5, 0, 2)
+    episodes = run_episodes("gym:test/Counter-v0", still, None, 5, 0, 2, POSITIVE)
     assert episodes.avr == 1
     assert (episodes.lengths == 3).all()
     assert (episodes.returns == 6).all()
@@ -172,9 +175,10 @@ def test_the_first_cost_ends_the_episode() -> None:
 
 @pytest.mark.usefixtures("counter")
 def test_actions_are_in_the_environments_units_and_end_at_its_bounds() -> None:
-    env = GymVectorEnv("test/Counter-v0", 1)
+    env = GymVectorEnv("test/Counter-v0", 1, POSITIVE)
     assert env.single_action_space == Counter().action_space
-    assert Fleet("gym:test/Counter-v0", (0,), 1).action_bounds == Bounds((-1.0, 2.0), (3.0, 4.0))
+    fleet = Fleet("gym:test/Counter-v0", (0,), 1, POSITIVE)
+    assert fleet.action_bounds == Bounds((-1.0, 2.0), (3.0, 4.0))
     env.reset(seed=0)
     for action in ([-1, 2], [3, 4], [1, 3.5], [3 + 1e-6, -7], [-30, 30]):
         env.step(np.array([action]))
@@ -187,13 +191,13 @@ def test_actions_are_in_the_environments_units_and_end_at_its_bounds() -> None:
 @pytest.mark.usefixtures("counter")
 def test_time_limits_truncate() -> None:
     gymnasium.registry["test/Counter-v0"].max_episode_steps = 2
-    env = GymVectorEnv("test/Counter-v0", 1)
+    env = GymVectorEnv("test/Counter-v0", 1, POSITIVE)
     env.reset(seed=0)
     over = [env.step(np.zeros((1, 2)))[2:4] for _ in range(4)]
     assert [bool(terminated[0]) for terminated, _ in over] == [False] * 4
     assert [bool(truncated[0]) for _, truncated in over] == [False, True, False, True]
     gymnasium.registry["test/Counter-v0"].max_episode_steps = 3
-    env = GymVectorEnv("test/Counter-v0", 1)
+    env = GymVectorEnv("test/Counter-v0", 1, POSITIVE)
     env.reset(seed=0)
     *_, (_, _, terminated, truncated, _) = [env.step(np.zeros((1, 2))) for _ in range(3)]
     assert terminated.all()
@@ -203,7 +207,7 @@ def test_time_limits_truncate() -> None:
 def refusal(observations: spaces.Space[Any] | None, actions: spaces.Space[Any] | None) -> str:
     """The sentence with which an environment with these spaces is refused."""
     kwargs = {"observations": observations, "actions": actions}
-    gymnasium.register("test/Odd-v0", entry_point=build, kwargs=kwargs)
+    gymnasium.register("test/Odd-v0", entry_point=build, kwargs=kwargs, max_episode_steps=4)
     try:
         with pytest.raises(ValueError, match="^test/Odd-v0: ") as caught:
             make_vector_env("gym:test/Odd-v0", 1)
@@ -229,11 +233,130 @@ def test_errors_say_what_is_wrong() -> None:
         make_vector_env("gym:no_module:Bike-v0", 1)
     with pytest.raises(ValueError, match="^num_envs must be at least 1, not 0$"):
         GymVectorEnv("Pendulum-v1", 0)
-    env = GymVectorEnv("Pendulum-v1", 2)
+    env = GymVectorEnv("Pendulum-v1", 2, ENDS)
     with pytest.raises(ValueError, match=r"^Pendulum-v1: call reset\(\) before step\(\)$"):
         env.step(np.zeros((2, 1)))
     with pytest.raises(ValueError, match="^the copies' seeds are drawn: give one seed, not a list"):
         env.reset(seed=[1, 2])
+
+
+class Odd(Counter):
+    """A counter that is wrong, or silent, in one way."""
+
+    fault = ""
+    after = 0
+    """Steps before it goes wrong."""
+
+    def reset(self, **given: Any) -> Any:  # type: ignore[override]  # that is what is tested
+        began = super().reset(**given)
+        return {"bare reset": began[0], "nan reset": (np.full(1, np.nan), {})}.get(Odd.fault, began)
+
+    def step(self, action: NDArray[Any]) -> Any:
+        observation, reward, over, cut, _ = super().step(action)
+        if self.steps <= Odd.after:
+            return observation, reward, over, cut, {"cost": 0.0}
+        return {
+            "four": (observation, reward, over, {"cost": 0.0}),
+            "silent": (observation, reward, over, cut, {}),
+            "ends": (observation, reward, self.steps == 3, cut, {}),
+            "ends at no cost": (observation, reward, self.steps == 3, cut, {"cost": 0.0}),
+            "two": (observation, reward, over, cut, {"cost": np.array([0.0, self.steps])}),
+            "half": (observation, reward, over, cut, {"cost": 0.5}),
+            "nan cost": (observation, reward, over, cut, {"cost": np.nan}),
+            "text": (observation, reward, over, cut, {"cost": "high"}),
+            "nan": (observation * np.nan, reward, over, cut, {"cost": 0.0}),
+            "nan reward": (observation, np.nan, over, cut, {"cost": 0.0}),
+        }.get(Odd.fault, (observation, reward, over, cut, {"cost": 0.0}))
+
+
+@pytest.fixture
+def odd(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., GymVectorEnv]]:
+    def make(fault: str, rules: Rules = NO_RULES, *, after: int = 0) -> GymVectorEnv:
+        monkeypatch.setattr(Odd, "fault", fault)
+        monkeypatch.setattr(Odd, "after", after)
+        return GymVectorEnv("test/Odd-v0", 1, rules)
+
+    gymnasium.register(
+        "test/Odd-v0", entry_point=Odd, max_episode_steps=4, disable_env_checker=True
+    )
+    yield make
+    del gymnasium.registry["test/Odd-v0"]
+
+
+NO_COST = (
+    r"^test/Odd-v0: its steps report no info\['cost'\], so that no violation could be counted; it "
+    r"must report one at every step .* or give --termination-is-violation"
+)
+REFUSED = {
+    "four": r"^test/Odd-v0: step\(\) returns a tuple of 4 \(ndarray, float, bool, dict\), where",
+    "bare reset": r"^test/Odd-v0: reset\(\) returns no tuple but a ndarray, where Gymnasium wants",
+    "silent": NO_COST,
+    "two": r"^test/Odd-v0: info\['cost'\] has 2 costs, .* --violation \"cost\[0\] > 0",
+    "half": r"^test/Odd-v0: info\['cost'\] is 0.5; a cost is 1 .* --violation \"cost > 0\"",
+    "nan cost": r"^test/Odd-v0: info\['cost'\] is nan$",
+    "text": r"^test/Odd-v0: info\['cost'\] is 'high', not a number$",
+}
+
+
+@pytest.mark.parametrize("fault", REFUSED)
+def test_environments_that_say_too_little_are_refused_before_the_first_step(
+    fault: str, odd: Callable[..., GymVectorEnv]
+) -> None:
+    with pytest.raises(ValueError, match=REFUSED[fault]):
+        odd(fault)
+
+
+@pytest.mark.parametrize("fault", ["silent", "half", "nan cost", "nan", "nan reward"])
+def test_what_goes_wrong_later_stops_the_run(fault: str, odd: Callable[..., GymVectorEnv]) -> None:
+    env = odd(fault, after=1)
+    env.reset(seed=0)
+    env.step(np.zeros((1, 2)))
+    wrong = REFUSED.get(fault, r"^test/Odd-v0: one of its (observations|rewards) is not finite: \[")
+    with pytest.raises(ValueError, match=wrong):
+        env.step(np.zeros((1, 2)))
+
+
+def test_observations_at_reset_are_finite(odd: Callable[..., GymVectorEnv]) -> None:
+    env = odd("nan reset")
+    with pytest.raises(ValueError, match="^test/Odd-v0: one of its observations is not finite"):
+        env.reset(seed=0)
+
+
+def test_an_end_can_be_a_violation(odd: Callable[..., GymVectorEnv]) -> None:
+    for fault in ("ends", "ends at no cost"):
+        env = odd(fault, ENDS)
+        env.reset(seed=0)
+        found = [env.step(np.zeros((1, 2))) for _ in range(3)]
+        assert [float(info["cost"][0]) for *_, info in found] == [0, 0, 1]
+    env = odd("silent", ENDS)  # the time limit ends its episodes, and is none
+    env.reset(seed=0)
+    *_, (_, _, terminated, truncated, info) = [env.step(np.zeros((1, 2))) for _ in range(4)]
+    assert (bool(terminated[0]), bool(truncated[0]), info["cost"][0]) == (False, True, 0)
+
+
+def test_of_several_constraints_one_counts(odd: Callable[..., GymVectorEnv]) -> None:
+    env = odd("two", Rules(violation="cost[1] >= 2"))
+    env.reset(seed=0)
+    assert [float(env.step(np.zeros((1, 2)))[4]["cost"][0]) for _ in range(2)] == [0, 1]
+    with pytest.raises(ValueError, match=r"there is no cost\[2\]"):
+        odd("two", Rules(violation="cost[2] > 0"))
+
+
+@pytest.mark.usefixtures("counter")
+def test_without_a_time_limit_one_is_wanted() -> None:
+    gymnasium.registry["test/Counter-v0"].max_episode_steps = None
+    message = r"^test/Counter-v0: it is registered without a time limit .* give --time-limit STEPS"
+    with pytest.raises(ValueError, match=message):
+        make_vector_env("gym:test/Counter-v0", 1)
+    rules = Rules(violation="cost > 1", time_limit=7)
+    assert run_episodes("gym:test/Counter-v0", still, None, 2, 0, 1, rules).length == 7
+    with pytest.raises(ValueError, match="^time_limit must be at least 1, not 0$"):
+        Rules(time_limit=0)
+
+
+def test_rules_are_for_gymnasiums_environments() -> None:
+    with pytest.raises(ValueError, match="^brake knows its violations and its time limit: "):
+        make_vector_env("brake", 1, ENDS)
 
 
 def test_few_copies_of_others_simulators_are_evaluated_at_once() -> None:
@@ -242,7 +365,7 @@ def test_few_copies_of_others_simulators_are_evaluated_at_once() -> None:
 
 
 def test_a_fleet_is_a_function_of_its_seeds() -> None:
-    both, alone = Fleet("gym:Pendulum-v1", (4, 9), 2), Fleet("gym:Pendulum-v1", (9,), 2)
+    both, alone = (Fleet("gym:Pendulum-v1", seeds, 2, ENDS) for seeds in ((4, 9), (9,)))
     first = both.reset()
     assert np.array_equal(first[1:], alone.reset())
     assert len(np.unique(first[..., 0])) == 4

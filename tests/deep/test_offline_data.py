@@ -16,6 +16,7 @@ from gymnasium import spaces
 
 from deep.__main__ import main
 from deep.data import keep_before_violation
+from deep.folder import read_object
 from deep.formats import read_hdf5
 from deep.online.episodes import run_episodes
 from deep.online.fleet import FOREIGN_COPIES
@@ -23,6 +24,7 @@ from deep.online.offline_data import offline_data, replayed
 from deep.online.plug import evaluate_policies
 from deep.online.train import train
 from deep.task_policy import TrainedPolicy
+from deep.tasks.gym import Rules
 from tests.deep.online_runs import SEEDS, TINY, WRAPPED, blocking_filter, hand_made, same
 
 
@@ -94,7 +96,9 @@ class Coin(gymnasium.Env[np.ndarray, np.ndarray]):
 
 @pytest.fixture
 def coin() -> Iterator[str]:
-    gymnasium.register("Coin-v0", entry_point=lambda **_: Coin(), disable_env_checker=True)
+    gymnasium.register(
+        "Coin-v0", entry_point=lambda **_: Coin(), disable_env_checker=True, max_episode_steps=9
+    )
     yield "gym:Coin-v0"
     del gymnasium.registry["Coin-v0"]
 
@@ -123,25 +127,67 @@ def test_foreign_environments_give_random_transitions_too(coin: str, tmp_path: P
     assert not np.array_equal(other.actions, data.actions)
 
 
+def test_foreign_environments_are_collected_from(coin: str, tmp_path: Path) -> None:
+    out = tmp_path / "coin.hdf5"
+    given = ["collect", "--task", coin, "--transitions", "60", "--seed", "3"]
+    mix = ["--random", "0.25", "--corners", "0.75", "--keep", "2"]
+    assert main([*given, *mix, "--out", str(out)]) == 0
+    data = read_hdf5(out)
+    assert len(data) == 60
+    steps = np.diff(np.flatnonzero(data.ends), prepend=-1)
+    assert steps.max() == 2
+    assert (np.abs(data.actions[:15]) < 1).all()
+    assert (np.abs(data.actions[15:]) == 1).all()
+    assert np.array_equal(data.rewards, data.actions[:, 0])
+    again = tmp_path / "again.hdf5"
+    assert main([*given, *mix, "--out", str(again)]) == 0
+    assert same(read_hdf5(again), data)
+
+
+def test_what_only_tasks_know_is_refused_for_others(
+    coin: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["collect", "--task", coin, "--out", str(tmp_path / "x"), "--transitions", "9"]
+    for option in (["--anywhere"], ["--adversary", "0.5"], ["--max-steps", "3"]):
+        assert main([*given, *option]) == 2
+        assert "gym:Coin-v0: adversary, anywhere and max_steps are for" in capsys.readouterr().err
+    assert main([*given, "--random", "0.5", "--corners", "0.4"]) == 2
+    assert "shares must be positive and sum to 1, not to 0.9" in capsys.readouterr().err
+    pendulum = ["collect", "--task", "gym:Pendulum-v1", "--out", str(tmp_path / "x")]
+    assert main(pendulum) == 2
+    assert "give --termination-is-violation" in capsys.readouterr().err
+    assert main([*pendulum, "--transitions", "9", "--termination-is-violation"]) == 2
+    said = "Pendulum-v1: of 2,044 transitions too few lie within 100 steps before a violation"
+    assert said in capsys.readouterr().err
+    assert main(["collect", "--task", "brake", "--out", "x", "--time-limit", "3"]) == 2
+    assert "brake knows its violations and its time limit" in capsys.readouterr().err
+    assert main(["pretrain", "--task", coin, "--out", str(tmp_path / "x")]) == 2
+    assert "make a file with collect or offline-data" in capsys.readouterr().err
+
+
 class Jammed(Coin):
-    """Breaks in its first step."""
+    """Breaks in its second step."""
 
     closed = 0
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        raise RuntimeError(f"jammed at {action}")
+        if self.steps:
+            raise RuntimeError(f"jammed at {action}")
+        return super().step(action)
 
     def close(self) -> None:
         Jammed.closed += 1
 
 
 def test_environments_that_break_are_closed(run: Path) -> None:
-    gymnasium.register("Jammed-v0", entry_point=lambda **_: Jammed(), disable_env_checker=True)
+    gymnasium.register(
+        "Jammed-v0", entry_point=lambda **_: Jammed(), disable_env_checker=True, max_episode_steps=9
+    )
     try:
         begun = Jammed.closed
         with pytest.raises(RuntimeError, match="jammed at") as caught:
             offline_data("gym:Jammed-v0", run, 0, 8, None, np.random.default_rng(0))
-        assert Jammed.closed - begun == 4  # while the traceback holds on to them
+        assert Jammed.closed - begun == 5  # one was tried before; the traceback holds on to them
         assert caught.tb is not None
     finally:
         del gymnasium.registry["Jammed-v0"]
@@ -164,7 +210,10 @@ def test_data_that_cannot_be_are_named(run: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="^random must not be negative, not -1$"):
         offline_data("brake", run, 0, -1, None, rng)
     nothing = "costs: there is no violation in the data, so nothing to learn from$"
-    with pytest.raises(ValueError, match=f"^gym:Pendulum-v1, 4 random actions: {nothing}"):
+    with pytest.raises(ValueError, match=f"^navigation2, 4 random actions: {nothing}"):
+        offline_data("navigation2", run, 0, 4, None, rng)
+    silent = "Pendulum-v1: its steps report no info"
+    with pytest.raises(ValueError, match=f"^gym:Pendulum-v1, 4 random actions: {silent}"):
         offline_data("gym:Pendulum-v1", run, 0, 4, None, rng)
     harmless = tmp_path / "harmless"
     shutil.copytree(run, harmless)
@@ -218,11 +267,24 @@ def test_a_policy_alone_and_behind_filters(run: Path, tmp_path: Path) -> None:
 
 def test_a_policy_is_evaluated_where_it_was_not_trained(run: Path, tmp_path: Path) -> None:
     elsewhere = "gym:MountainCarContinuous-v0"  # of the same dimensions as the brake
-    found = evaluate_policies(run, None, tmp_path / "out", episodes=2, task=elsewhere)
+    rules = Rules(termination_is_violation=True, time_limit=150)
+    found = evaluate_policies(run, None, tmp_path / "out", episodes=2, task=elsewhere, rules=rules)
     policy = TrainedPolicy.load(run / "policies" / "seed3.safetensors")
-    expected = run_episodes(elsewhere, policy.act, None, 2, 3, FOREIGN_COPIES)
+    expected = run_episodes(elsewhere, policy.act, None, 2, 3, FOREIGN_COPIES, rules)
     assert (found[1]["acr"], found[1]["length"]) == (expected.acr, expected.length)
     assert json.loads((tmp_path / "out" / "result.json").read_text())["task"] == elsewhere
+
+
+def test_an_environment_keeps_the_rules_of_its_training(tmp_path: Path) -> None:
+    rules = Rules(termination_is_violation=True, time_limit=20)
+    config = replace(TINY, task="gym:Pendulum-v1", rules=rules)
+    train(config, tmp_path / "run", quiet=True)
+    found = evaluate_policies(tmp_path / "run", None, tmp_path / "out", episodes=2)
+    assert {entry["length"] for entry in found} == {20}
+    given = ["evaluate", "--policy", str(tmp_path / "run"), "--episodes", "2"]
+    options = ["--out", str(tmp_path / "other"), "--termination-is-violation", "--time-limit", "9"]
+    assert main([*given, *options]) == 0
+    assert read_object(tmp_path / "other" / "result.json", "seeds")["seeds"][0]["length"] == 9
 
 
 def test_thresholds_come_from_files_too(run: Path, tmp_path: Path) -> None:

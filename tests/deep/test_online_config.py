@@ -19,6 +19,7 @@ from deep.online.counts import Counts
 from deep.online.fleet import Arrived
 from deep.online.sac import Sac, SacSettings
 from deep.pretrain.learner import Sizes
+from deep.tasks.gym import Rules
 from tests.deep.online_runs import TINY
 
 BEHIND = replace(TINY, safety=Path("safety"))
@@ -82,7 +83,8 @@ def test_a_configuration_survives_json() -> None:
         BEHIND, threshold=(0.1, 0.2), safety_seeds=(5, 5), finetune=True,
         method=SacSettings(hidden=(3, 4), temperature=0.1),
     )  # fmt: skip
-    for config in (TrainConfig("brake"), TINY, given):
+    ruled = replace(TINY, rules=Rules("cost[1] > 3", time_limit=9))
+    for config in (TrainConfig("brake"), TINY, given, ruled):
         assert (
             train_config_from_json(json.loads(json.dumps(train_config_to_json(config)))) == config
         )

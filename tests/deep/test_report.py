@@ -475,6 +475,20 @@ def _exactly(message: str) -> str:
     return f"^{re.escape(message)}$"
 
 
+def test_a_report_lies_in_a_folder_of_its_own(whole: Path, tmp_path: Path) -> None:
+    before = sorted(whole.rglob("*"))
+    for inside in (whole, whole / "report", whole / "static-env" / ".." / "page"):
+        with pytest.raises(
+            ValueError, match="is in the study .*, which is only read: give another"
+        ):
+            report(whole, inside)
+    assert sorted(whole.rglob("*")) == before
+    (tmp_path / "main.md").write_text("mine")
+    with pytest.raises(ValueError, match="holds something else than a report: give a new folder"):
+        report(whole, tmp_path)
+    assert (tmp_path / "main.md").read_text() == "mine"
+
+
 def test_command_names_a_broken_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     place = tmp_path / "study/brake/train/sac"
     place.mkdir(parents=True)

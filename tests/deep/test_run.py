@@ -213,7 +213,9 @@ def test_a_loss_that_is_no_number_names_its_seed() -> None:
 def test_configurations_survive_json_and_resolve_by_the_horizon() -> None:
     for kind in SETTINGS.values():
         config = replace(TINY, method=kind(**SMALL))
-        assert config_from_json(json.loads(json.dumps(config_to_json(config)))) == config
+        filed = replace(config, task=None, data=Path("x"), cut=True, violation="cost > 2")
+        for one in (config, filed):
+            assert config_from_json(json.loads(json.dumps(config_to_json(one)))) == one
     annealed = resolve(TINY, 5)
     assert annealed.gamma_safe == annealed.method.gamma_safe == 5 / 6
     assert annealed.threshold == low_threshold(5 / 6, 5) == (5 / 6) ** 5 / 4

@@ -27,6 +27,7 @@ from deep.pretrain import (
     RrlSettings,
 )
 from deep.study import FORMS, METHODS, StudyConfig, study_jobs
+from deep.tasks.gym import NO_RULES, Rules
 
 CONFIG = StudyConfig(
     out=Path("study"), tasks=("point-goal1", "static-env"), real_tasks=("static-env",)
@@ -274,6 +275,30 @@ def test_fewer_methods_make_fewer_jobs() -> None:
         "data/sac", "data/offline.hdf5", "pretrain/dea-rrl", "select/dea-rrl",
         "select/dea-rrl/threshold.json", "train/sac", "train/dea-rrl", "plug/sac+dea-rrl",
     }  # fmt: skip
+
+
+def test_rules_reach_what_steps_an_environment_of_gymnasium() -> None:
+    rules = Rules("cost > 2", True, 30)
+    tasks = ("gym:Pendulum-v1", "brake")
+    config = StudyConfig(out=Path("s"), tasks=tasks, methods=("sac", "wcsac"), rules=rules)
+    for job in study_jobs(config):
+        command = parse(job.command)
+        if isinstance(command, Train):
+            gym = command.run_config.task.startswith("gym:")
+            assert command.run_config.rules == (rules if gym else NO_RULES)
+    offline = StudyConfig(
+        out=Path("s"), tasks=tasks[:1], methods=("iql",), rules=replace(rules, violation=None)
+    )
+    (iql,) = [
+        c
+        for c in map(parse, (j.command for j in study_jobs(offline)))
+        if isinstance(c, TrainOffline)
+    ]
+    assert iql.run_config.rules == offline.rules
+    with pytest.raises(
+        ValueError, match="^violation is of the costs that an environment reports; iql"
+    ):
+        replace(offline, rules=rules)
 
 
 def test_configurations_that_make_no_sense_are_refused() -> None:

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import fields
 
 import gymnasium
 import numpy as np
@@ -13,6 +14,7 @@ from dead_ends.envs import registration
 from dead_ends.envs.bridge import bridge
 from dead_ends.envs.safe_mdp_env import SafeMDPEnv
 from dead_ends.io import load_model
+from dead_ends.io.environment_model import EnvironmentModel
 
 IDS = ["dead_ends/Brake-v0", "dead_ends/IceGrid-v0"]
 
@@ -91,7 +93,11 @@ def test_table_is_the_model(slip: float) -> None:
 @pytest.mark.parametrize("env_id", IDS)
 def test_load_model_gives_the_model_that_is_stepped(env_id: str) -> None:
     env = gymnasium.make(env_id)
-    assert load_model(env) is model_of(env)
+    with_keys = load_model(env)
+    for field in fields(SafeMDP):
+        assert getattr(with_keys, field.name) is getattr(model_of(env), field.name)
+    assert isinstance(with_keys, EnvironmentModel)
+    assert with_keys.keys == tuple(range(with_keys.num_states))
     loaded = load_model(env_id)
     np.testing.assert_array_equal(loaded.next_state, model_of(env).next_state)
     np.testing.assert_array_equal(loaded.fail, model_of(env).fail)
@@ -185,8 +191,11 @@ def test_what_cannot_be_stepped_or_drawn_is_refused() -> None:
         SafeMDPEnv(started, render_mode="rgb_array")
     with pytest.raises(ValueError, match=r"unknown render mode 'human'; known are"):
         SafeMDPEnv(started, render_mode="human")
-    with pytest.raises(ValueError, match=r"reset: state 1 is not a state of the model"):
-        SafeMDPEnv(started).reset(options={"state": 1})
+    for wrong in (1, -1, 0.5, float("nan"), "0"):
+        with pytest.raises(ValueError, match=rf"reset: state {wrong!r} is not one of 0 to 0"):
+            SafeMDPEnv(started).reset(options={"state": wrong})
+        with pytest.raises(ValueError, match=rf"action {wrong!r} is not one of 0 to 0"):
+            SafeMDPEnv(started).step(wrong)  # type: ignore[arg-type]  # what a caller may do wrong
 
 
 def test_gymnasium_finds_the_module_by_itself() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dead_ends.io.condition import evaluate_condition
+from dead_ends.io.condition import evaluate_condition, names_in
 
 COLUMNS = {
     "s": np.array([0, 1, 2, 3]),
@@ -80,3 +80,16 @@ def test_everything_else_is_refused(text: str, message: str) -> None:
 def test_a_condition_can_only_use_what_is_there() -> None:
     with pytest.raises(ValueError, match=r"unknown name 'r' \(known here: s\)"):
         evaluate_condition("r > 0", {"s": np.arange(3)})
+
+
+def test_a_qualified_name_is_one_name() -> None:
+    columns = {"model.s": np.array([1, 2])}
+    assert evaluate_condition("model.s > 1", columns).tolist() == [False, True]
+    with pytest.raises(ValueError, match=r"'model.t' is not allowed"):
+        evaluate_condition("model.t > 1", columns)
+
+
+def test_names_in_a_condition() -> None:
+    assert names_in("x == 2 and (model.s > x or -b in [1, y])") == ["b", "model.s", "x", "y"]
+    assert names_in("model > 1 and model.s > 1") == ["model", "model.s"]
+    assert names_in("1 > 2") == []

@@ -16,7 +16,7 @@ METADATA = {"epsilon_safe": 0.5, "made by": "a test", "é": [1, None]}
 
 @pytest.mark.parametrize("name", ["filter.npz", "filter.json"])
 def test_what_was_saved_is_loaded(tmp_path: Path, name: str) -> None:
-    save_filter(tmp_path / name, ALLOWED, RECOVERY, METADATA)
+    save_filter(tmp_path / name, FilterTable(ALLOWED, RECOVERY, METADATA))
     table = load_filter(tmp_path / name)
     np.testing.assert_array_equal(table.allowed, ALLOWED)
     np.testing.assert_array_equal(table.recovery, RECOVERY)
@@ -29,7 +29,7 @@ def test_what_was_saved_is_loaded(tmp_path: Path, name: str) -> None:
 
 
 def test_npz_needs_numpy_only(tmp_path: Path) -> None:
-    save_filter(tmp_path / "filter.npz", ALLOWED, RECOVERY, METADATA)
+    save_filter(tmp_path / "filter.npz", FilterTable(ALLOWED, RECOVERY, METADATA))
     with np.load(tmp_path / "filter.npz", allow_pickle=False) as archive:
         assert sorted(archive.files) == ["allowed", "metadata", "recovery"]
         np.testing.assert_array_equal(archive["allowed"], ALLOWED)
@@ -37,7 +37,7 @@ def test_npz_needs_numpy_only(tmp_path: Path) -> None:
 
 
 def test_json_needs_a_json_reader_only(tmp_path: Path) -> None:
-    save_filter(tmp_path / "filter.json", ALLOWED, RECOVERY)
+    save_filter(tmp_path / "filter.json", FilterTable(ALLOWED, RECOVERY))
     assert json.loads((tmp_path / "filter.json").read_text()) == {
         "allowed": [[True, False], [False, True], [False, False]],
         "recovery": [0, 1, 1],
@@ -57,25 +57,55 @@ def test_json_needs_a_json_reader_only(tmp_path: Path) -> None:
         (ALLOWED, [0, 1, -1], r"recovery: state 2 has action -1, but actions are 0 to 1"),
     ],
 )
-def test_wrong_tables_are_not_written(
-    tmp_path: Path, allowed: Any, recovery: Any, message: str
-) -> None:
+def test_wrong_tables_are_refused(allowed: Any, recovery: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        save_filter(tmp_path / "filter.npz", allowed, recovery)
-    assert not list(tmp_path.iterdir())
+        FilterTable(np.asarray(allowed), np.asarray(recovery))
 
 
 def test_metadata_must_be_json(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"metadata: .*not JSON serializable"):
-        save_filter(tmp_path / "filter.npz", ALLOWED, RECOVERY, {"a": object()})
-    with pytest.raises(ValueError, match=r"metadata must be an object of JSON, not \[1\]"):
-        FilterTable(ALLOWED, RECOVERY, [1])  # type: ignore[arg-type]  # the wrong value is the test
+    with pytest.raises(ValueError, match=r"metadata: Object of type object is not JSON"):
+        save_filter(tmp_path / "filter.npz", FilterTable(ALLOWED, RECOVERY, {"a": object()}))
     assert not list(tmp_path.iterdir())
+
+
+NAMES = {
+    "state_names": ("door", "hall", "é"),
+    "action_names": ("keep still", "go"),
+    "keys": ("0", "(1, 2.5)"),
+}
+
+
+@pytest.mark.parametrize("name", ["filter.npz", "filter.json"])
+def test_names_and_keys_are_kept(tmp_path: Path, name: str) -> None:
+    save_filter(tmp_path / name, FilterTable(ALLOWED, RECOVERY, **NAMES))
+    table = load_filter(tmp_path / name)
+    assert {each: getattr(table, each) for each in NAMES} == NAMES
+    assert [table.find(key) for key in (0, [1.0, 2.5], np.array([1, 2.5]), 1)] == [0, 1, 1, None]
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        ({"state_names": ["a", "b"]}, "state_names must have 3 entries, not 2"),
+        ({"action_names": "ab"}, "action_names must be a list of strings"),
+        ({"action_names": ["a", 1]}, "action_names must be a list of strings"),
+        ({"keys": ["0", "1", "2", "3"]}, "keys must have 3 entries, not 4"),
+        ({"keys": ["0", "0"]}, "keys: two states have the same key"),
+    ],
+)
+def test_wrong_names_are_refused(tmp_path: Path, names: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        FilterTable(ALLOWED, RECOVERY, **names)
+    arrays = {"allowed": ALLOWED, "recovery": RECOVERY, "metadata": "{}"}
+    np.savez(tmp_path / "filter.npz", **arrays, **{k: np.array(v) for k, v in names.items()})
+    if names != {"action_names": ["a", 1]}:  # NumPy makes strings of both
+        with pytest.raises(ValueError, match=rf"filter\.npz: {message}"):
+            load_filter(tmp_path / "filter.npz")
 
 
 def test_other_suffixes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"filter\.csv: a filter's name must end in \.npz or"):
-        save_filter(tmp_path / "filter.csv", ALLOWED, RECOVERY)
+        save_filter(tmp_path / "filter.csv", FilterTable(ALLOWED, RECOVERY))
     with pytest.raises(ValueError, match=r"filter: a filter's name must end in \.npz or \.json"):
         load_filter(tmp_path / "filter")
 

@@ -1,6 +1,7 @@
 """The installed Gymnasium's tables: their rules are the oracle."""
 
 import sys
+import threading
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,6 +9,8 @@ import gymnasium
 import numpy as np
 import pytest
 
+from dead_ends.io import load_model
+from dead_ends.io.environment_model import EnvironmentModel
 from dead_ends.io.errors import MissingDependencyError
 from dead_ends.io.gymnasium_table import load_gymnasium
 from dead_ends.labels import classify
@@ -127,12 +130,14 @@ def test_any_object_with_a_table() -> None:
     assert model.successors().tolist() == [[-1, -1, -1], [2, -1, 0], [2, 2, 2]]
 
 
+@pytest.mark.filterwarnings("ignore::dead_ends.io.NoFailureWarning")  # none fails, as we say
 @pytest.mark.parametrize(
     ("P", "message"),
     [
         ({}, "the transition table P is empty"),
         ({1: {0: [(1.0, 0, 0, False)]}}, "the keys of P must be 0 to 0"),
-        ({0: {-1: [(1.0, 0, 0, False)]}}, r"state 0: the keys of P\[0\] must be numbers"),
+        ({0: {-1: [(1.0, 0, 0, False)]}}, "state 0: P lists action -1, but actions are 0 and more"),
+        ({0: {"go": []}}, r"state 0: the keys of P\[0\] must be numbers of actions"),
         ({0: {0: [(0.9, 0, 0, False)]}}, "state 0, action 0: probabilities sum to 0.9, not 1"),
         ({0: {0: [(1.0, 3, 0, False)]}}, "state 0, action 0: successor 3 does not exist"),
     ],
@@ -158,6 +163,143 @@ def test_bad_tables(P: Any, message: str) -> None:
 def test_what_is_wrong_is_said(name: str, options: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         load_gymnasium(name, **options)
+
+
+@pytest.mark.parametrize("probability", [0.3, 0.1])
+def test_a_fickle_passenger_is_noticed(probability: float) -> None:
+    """He changes the destination, and Taxi's table knows nothing of it."""
+    arguments = {"fickle_passenger": True, "fickle_probability": probability}
+    with pytest.raises(
+        ValueError, match=r"Taxi-v4: state \d+, action \d: a step leads to state \d+ "
+    ):
+        load_gymnasium("Taxi-v4", fail_states=[], arguments=arguments)
+
+
+def test_what_a_table_includes_is_no_contradiction() -> None:
+    """However rare it is; and the environment, with its generators, stays as it was."""
+    for arguments in ({"is_rainy": True}, {"is_rainy": True, "rainy_probability": 0.999}):
+        assert load_gymnasium("Taxi-v4", fail_states=[0], arguments=arguments).num_states == 501
+    env = gymnasium.make("Taxi-v4", is_rainy=True)
+    env.reset(seed=0)
+    before = np.random.get_state()[1].tolist()  # type: ignore[index, union-attr]  # noqa: NPY002
+    numbers, state = env.np_random.bit_generator.state, env.unwrapped.s  # type: ignore[attr-defined]
+    load_gymnasium(env, fail_states=[0])
+    assert env.np_random.bit_generator.state == numbers
+    assert env.unwrapped.s == state  # type: ignore[attr-defined]
+    assert np.random.get_state()[1].tolist() == before  # type: ignore[index, union-attr]  # noqa: NPY002
+
+
+class Claims(gymnasium.Env[int, int]):
+    """Action 1 stays in 0 or 1, action 2 goes to the other; from 1 to 2, the end, now and then."""
+
+    action_space = gymnasium.spaces.Discrete(2, start=1)
+    observation_space = gymnasium.spaces.Discrete(3)
+
+    def __init__(self, P: Any) -> None:
+        self.P = P
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[int, dict[str, Any]]:
+        super().reset(seed=seed, options=options)
+        self.s = 0
+        return self.s, {}
+
+    def step(self, action: int) -> tuple[int, float, bool, bool, dict[str, Any]]:
+        assert action in (1, 2)
+        if action == 2:
+            self.s = 2 if self.s == 1 and self.np_random.random() < 0.05 else 1 - self.s
+        return self.s, -1.0, self.s == 2, False, {}
+
+
+def claimed(**others: Any) -> dict[int, Any]:
+    """What is true of the environment, but for the outcomes of action 2 in state 1."""
+    ends = [(0.05, 2, -1.0, True)]
+    fickle = others.get("fickle", [(0.95, 0, -1.0, False), *ends])
+    end = {1: [(1.0, 2, 0.0, True)]}
+    stay = [[(1.0, s, -1.0, False)] for s in range(2)]
+    return {0: {1: stay[0], 2: [(1.0, 1, -1.0, False)]}, 1: {1: stay[1], 2: fickle}, 2: end}
+
+
+def test_a_true_table_with_actions_from_1() -> None:
+    model = load_gymnasium(Claims(claimed()), fail_if="a == 2 and s2 == 2")
+    rows = model.transitions().toarray()[[1, 3], :4]
+    assert rows.tolist() == [[0, 1, 0, 0], [0.95, 0, 0, 0.05]]
+    assert np.flatnonzero(model.fail).tolist() == [3]
+    assert model.action_names == ("1", "2")
+    listed = [list(row.values()) for row in claimed().values()]
+    assert load_gymnasium(Claims(listed), fail_states=[2]).num_actions == 2
+
+
+@pytest.mark.parametrize(
+    ("fickle", "message"),
+    [
+        (
+            [(1.0, 0, -1.0, False)],
+            r"state 1, action 2: a step leads to state 2 with reward -1, where",
+        ),
+        (
+            [(0.95, 0, -1.0, False), (0.05, 2, -1.0, False)],
+            "to state 2 with reward -1, where the ep",
+        ),
+        (
+            [(0.95, 0, -1.0, True), (0.05, 2, -1.0, True)],
+            "to state 0 with reward -1 and the table P",
+        ),
+        (
+            [(0.95, 0, -1.0, False), (0.05, 2, -2.0, True)],
+            "to state 2 with reward -1, where the ep",
+        ),
+        (
+            [(1.0, 0, -1.0, False), (0.0, 2, -1.0, True)],
+            "to state 2 with reward -1, where the epis",
+        ),
+    ],
+)
+def test_a_false_table_is_refused(fickle: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        load_gymnasium(Claims(claimed(fickle=fickle)), fail_states=[2])
+
+
+def test_environments_that_show_pictures_or_cannot_be_copied() -> None:
+    env = gymnasium.make("CliffWalking-v1", render_mode="human")
+    assert load_gymnasium(env).num_states == 49  # and no window is opened
+    assert (env.render_mode, env.unwrapped.window_surface) == ("human", None)  # type: ignore[attr-defined]
+    env.unwrapped.lock = threading.Lock()  # type: ignore[attr-defined]
+    with pytest.raises(
+        ValueError, match="CliffWalking-v1: the environment cannot be copied: cannot"
+    ):
+        load_gymnasium(env)
+
+
+def test_actions_and_starts_that_the_environment_does_not_have() -> None:
+    table = claimed() | {0: {0: [(1.0, 0, -1.0, False)]}}
+    with pytest.raises(ValueError, match="state 0: P lists action 0, but actions are 1 to 2"):
+        load_gymnasium(Claims(table), fail_states=[2])
+    env = Claims(claimed())
+    env.initial_state_distrib = [0.0, 1.0, 0.0]  # type: ignore[attr-defined]
+    with pytest.raises(
+        ValueError, match="an episode starts in state 0, which has probability 0 of"
+    ):
+        load_gymnasium(env, fail_states=[2])
+    env.action_space = gymnasium.spaces.MultiDiscrete([2])  # type: ignore[assignment]
+    with pytest.raises(ValueError, match=r"actions must be Discrete, not MultiDiscrete\(\[2\]\)"):
+        load_gymnasium(env, fail_states=[2])
+
+
+def test_a_map_that_is_drawn_each_time() -> None:
+    """The model would be that of an environment which nobody gets again."""
+    with pytest.raises(ValueError, match="FrozenLake-v1: the table P is another each time the env"):
+        load_model("FrozenLake-v1", arguments={"map_name": None})
+    env = gymnasium.make("FrozenLake-v1", map_name=None)
+    assert load_model(env).num_states == 64
+
+
+def test_which_observation_is_which_state() -> None:
+    model = load_gymnasium("CliffWalking-v1")
+    assert isinstance(model, EnvironmentModel)
+    assert model.keys == tuple(range(48))
+    assert model.state_of(np.int64(47)) == 47
 
 
 def test_without_gymnasium(monkeypatch: pytest.MonkeyPatch) -> None:

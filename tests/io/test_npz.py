@@ -1,5 +1,6 @@
 """npz files: round trips, the smallest file, and what is said about bad ones."""
 
+import io
 import zipfile
 from fractions import Fraction
 from pathlib import Path
@@ -95,6 +96,7 @@ def test_files_written_by_hand(tmp_path: Path) -> None:
 
 CSR = {"P_data": [1.0], "P_indices": [0], "P_indptr": [0, 1]}
 ONE = np.array([False])
+EXACT = {"P_indptr": [0, 1], "P_indices": [0], "fail": ONE}
 BARE = {"next_state": TABLE, "fail": FAIL}
 DRAWN = {**BARE, "geometry_cell": np.zeros((4, 2), dtype=np.int32)}
 
@@ -127,6 +129,18 @@ DRAWN = {**BARE, "geometry_cell": np.zeros((4, 2), dtype=np.int32)}
         ({"P_indptr": [0, 1], "P_indices": [0], "P_exact": ["x"], "fail": ONE}, "'x' is not a fr"),
         ({"P_indptr": [0, 1], "P_indices": [0], "P_exact": ["1/0"], "fail": ONE}, "'1/0' is not"),
         ({"P_indptr": [0, 1], "P_indices": [0], "P_exact": ["1/2"], "fail": ONE}, "not exactly 1"),
+        (
+            {**EXACT, "P_exact": ["1e-999999999"]},
+            "too many",
+        ),
+        (
+            {**EXACT, "P_exact": ["9" * 5000]},
+            "'999.*9...' is",
+        ),
+        (
+            {**EXACT, "P_exact": ["9" * 10**6]},
+            "P_exact holds s",
+        ),
         ({**BARE, "geometry_y_down": True}, "no array 'geometry_cell'"),
         ({**BARE, "geometry_cell": [[0, 0]]}, "geometry: expected 4 cells, got 1"),
         ({**BARE, "geometry_cell": [0]}, r"geometry: cell must have shape \(S, 2\)"),
@@ -138,7 +152,7 @@ DRAWN = {**BARE, "geometry_cell": np.zeros((4, 2), dtype=np.int32)}
 )
 def test_bad_arrays_are_named(arrays: dict[str, Any], message: str, tmp_path: Path) -> None:
     path = tmp_path / "bad.npz"
-    np.savez(path, allow_pickle=True, **arrays)
+    np.savez(path, **arrays)
     with pytest.raises(ValueError, match=message) as caught:
         load_npz(path)
     assert str(caught.value).startswith(f"{path}: ")
@@ -186,3 +200,44 @@ def test_an_exact_model_without_transitions(tmp_path: Path) -> None:
     model = SafeMDP.stochastic(np.full((1, 1, 1), Fraction(1)), np.array([True]))
     save_npz(path, model)
     assert_same(load_npz(path), model)
+
+
+def write_raw(path: Path, shape: tuple[int, ...], content: bytes) -> None:
+    """next_state with a header that says this shape."""
+    header = io.BytesIO()
+    fields = {"descr": "<i4", "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(header, fields)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("next_state.npy", header.getvalue() + content)
+
+
+@pytest.mark.parametrize("shape", [(10**13,), (10**30,), (-5, 2), (2**62, 4), (4, 4)])
+def test_a_shape_that_the_file_cannot_have(shape: tuple[int, ...], tmp_path: Path) -> None:
+    path = tmp_path / "bad.npz"
+    write_raw(path, shape, b"0" * 8)
+    with pytest.raises(ValueError, match=rf"^{path}: array 'next_state': "):
+        load_npz(path)
+
+
+def test_an_array_larger_than_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before it is unpacked: zeros need no room in the file."""
+    monkeypatch.setattr("dead_ends.memory.GIB", 2**20)
+    monkeypatch.setattr("dead_ends.memory.available_memory", lambda: 2**21)
+    path = tmp_path / "model.npz"
+    write_raw(path, (2**20,), bytes(2**22))
+    with pytest.raises(MemoryError, match=r"model\.npz: the array next_state.npy needs 4.0 GiB"):
+        load_npz(path)
+
+
+def test_a_large_exact_model(tmp_path: Path) -> None:
+    """Dense, its probabilities would fill 3 GB."""
+    n = 20_000
+    path = tmp_path / "model.npz"
+    np.savez(
+        path,
+        P_exact=["1/3", "2/3"] * n,
+        P_indices=np.column_stack([np.zeros(n, int), np.arange(n)]).ravel(),
+        P_indptr=np.arange(0, 2 * n + 1, 2),
+        fail=np.arange(n) == n - 1,
+    )
+    assert load_npz(path).exact_probabilities()[-2:] == (Fraction(1, 3), Fraction(2, 3))

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dead_ends.io.errors import NoFailureWarning, located
 from dead_ends.io.transitions import Transitions, build_model, state_mask
 from dead_ends.model import Geometry
 
@@ -171,5 +172,26 @@ def test_state_mask() -> None:
     for states, message in (([3], "3 is not a state"), ([-1], "-1 is not"), ([0.5], "0.5 is not")):
         with pytest.raises(ValueError, match=f"fail states: {message}"):
             state_mask(states, 3)
+    with pytest.raises(ValueError, match=r"^fail_states\[1\] is masked, and must be known$"):
+        state_mask(np.ma.array([True, False], mask=[False, True]), 2)
     with pytest.raises(ValueError, match=r"a mask must have shape \(3,\)"):
         state_mask([True], 3)
+
+
+@pytest.mark.parametrize(
+    ("condition", "said"), [("r <= -1000", "'r <= -1000'"), (lambda *_: False, "the condition")]
+)
+def test_a_condition_that_never_holds_is_said(condition: Any, said: str) -> None:
+    with located("here"), pytest.warns(NoFailureWarning, match=f"^here: no .* satisfies {said}"):
+        model = build_model(listed(CHAIN, 3), condition)
+    assert not model.fail.any()
+
+
+def test_a_condition_that_holds_in_a_fail_state_anyway_is_none_that_never_holds() -> None:
+    build_model(listed(CHAIN, 3, fail=np.array([False, False, True])), "s2 == 2")
+
+
+@pytest.mark.parametrize("states", [[], np.zeros(3, dtype=np.bool_)])
+def test_no_state_is_said(states: Any) -> None:
+    with pytest.warns(NoFailureWarning, match="^no state is .* in fail_states, so that"):
+        assert not state_mask(states, 3).any()
