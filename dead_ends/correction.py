@@ -155,6 +155,7 @@ def safety_filter(
     Raises:
         ValueError: as :func:`dead_ends.allowed_actions` and :func:`dead_ends.value_iteration`.
     """
+    require_type(model, SafeMDP, "safety_filter")
     critic = value_iteration(model) if Q is None else Q
     stays = safe_actions(model)
     allowed = stays if epsilon_safe is None else allowed_actions(critic, epsilon_safe)
