@@ -41,6 +41,8 @@ SETTINGS = SacSettings(final_rate=1, reward_scale=1)
 SEEDS = tuple(range(8))
 EPISODES = 8
 RESAMPLES = 10_000
+NO_COSTS = Rules(termination_is_violation=True)
+"""These environments report no costs, and end by the clock alone."""
 TOOLS = {"ours": ("dead-ends", "#0072b2", "o"), "theirs": ("Stable-Baselines3", "#d55e00", "s")}
 
 Curves = NDArray[np.float64]
@@ -94,7 +96,7 @@ def our_curves(course: Course, settings: SacSettings, seeds: Sequence[int], fold
         episodes=1,
         log_every=course.steps,
         checkpoint_every=course.steps,
-        rules=Rules(termination_is_violation=True),  # these environments have no costs
+        rules=NO_COSTS,
     )
     train(config, folder, quiet=True)
     with (folder / "evaluations.csv").open() as file:
@@ -128,11 +130,11 @@ def _their_return(course: Course, model: SAC, seed: int) -> float:
 
     def act(observations: NDArray[np.float32]) -> NDArray[np.float32]:
         actions, _ = model.predict(observations, deterministic=True)
-        return model.policy.scale_action(actions)
+        return np.asarray(actions, dtype=np.float32)
 
     task = GYM + course.environment
     episodes = run_episodes(
-        task, act, None, EPISODES, seed + EPISODES_KEPT_APART, evaluation_copies(task)
+        task, act, None, EPISODES, seed + EPISODES_KEPT_APART, evaluation_copies(task), NO_COSTS
     )
     return episodes.acr
 
