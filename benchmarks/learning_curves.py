@@ -29,13 +29,13 @@ from stable_baselines3 import SAC
 
 from benchmarks.measure import RESULTS, save
 from benchmarks.sb3 import stable_baselines3_sac
-from deep.online.config import TrainConfig
-from deep.online.episodes import run_episodes
-from deep.online.fleet import GYM, evaluation_copies
-from deep.online.results import EPISODES_KEPT_APART
-from deep.online.sac import SacSettings
-from deep.online.train import train
 from deep.tasks.gym import Rules
+from deep.tasks.vectorised import GYM, evaluation_copies
+from deep.train.config import TrainConfig
+from deep.train.episodes import run_episodes
+from deep.train.result import EPISODES_KEPT_APART
+from deep.train.run import train
+from deep.train.sac import SacSettings
 
 SETTINGS = SacSettings(final_rate=1, reward_scale=1)
 SEEDS = tuple(range(8))
