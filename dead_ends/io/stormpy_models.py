@@ -206,14 +206,12 @@ def _variables(model: Any) -> dict[str, NDArray[Any]]:
     }
 
 
-def _values(valuations: Any, variable: Any) -> list[Any]:
+def _values(valuations: Any, variable: Any) -> Any:
     """A variable's value in each state; of real ones Storm has to be told how it stores them."""
     if variable.has_rational_type():
         with suppress(RuntimeError):  # stored as fractions
-            values: list[Any] = valuations.get_double_values(variable)
-            return values
-    values = valuations.get_values_states(variable)
-    return values
+            return valuations.get_double_values(variable)
+    return valuations.get_values_states(variable)
 
 
 def _state_names(variables: Mapping[str, NDArray[Any]]) -> tuple[str, ...] | None:
