@@ -59,10 +59,11 @@ def evaluate_condition(text: str, columns: Mapping[str, NDArray[Any]]) -> NDArra
     """
     tree = _parse(text)
     try:
-        with np.errstate(divide="raise", invalid="raise"):
+        with np.errstate(divide="raise", invalid="raise", over="raise"):
             value = np.asarray(_evaluate(tree, columns))
-    except (FloatingPointError, ZeroDivisionError):
-        raise ValueError(f"condition {text!r}: division by zero") from None
+    except (FloatingPointError, ZeroDivisionError) as error:
+        what = "numbers are too large" if "overflow" in str(error) else "division by zero"
+        raise ValueError(f"condition {text!r}: {what}") from None
     except (_Meaningless, OverflowError, RecursionError) as error:
         raise ValueError(f"condition {text!r}: {error}") from None
     if value.dtype != np.bool_:
@@ -119,7 +120,7 @@ def _evaluate(node: ast.expr, columns: Mapping[str, NDArray[Any]]) -> Any:
         case ast.UnaryOp(op=ast.USub(), operand=operand):
             return -_number(operand, columns)
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
-            return _BINARY[type(op)](_number(left, columns), _number(right, columns))
+            return _calculated(_BINARY[type(op)], _number(left, columns), _number(right, columns))
         case ast.Compare(left=left, ops=ops, comparators=comparators):
             return _compare(left, ops, comparators, columns)
     raise _Meaningless(f"'{ast.unparse(node)}' is not allowed")
@@ -159,6 +160,16 @@ def _truth(node: ast.expr, columns: Mapping[str, NDArray[Any]]) -> Any:
     value = _evaluate(node, columns)
     if np.asarray(value).dtype != np.bool_:
         raise _Meaningless(f"'{ast.unparse(node)}' is not true or false")
+    return value
+
+
+def _calculated(operate: Callable[[Any, Any], Any], left: Any, right: Any) -> Any:
+    """The result of an operation; integers beyond 64 bits would wrap around without a word."""
+    value = operate(left, right)
+    if np.asarray(value).dtype.kind in "iu":
+        rough = operate(np.asarray(left, np.float64), np.asarray(right, np.float64))
+        if np.any(np.abs(rough) >= 2.0**63):
+            raise _Meaningless("numbers are too large")
     return value
 
 

@@ -131,6 +131,8 @@ class Failure:
         silent = self.label is None and self.states is None and self.condition is None
         labels = "fail" if silent else () if self.label is None else self.label
         labels = [labels] if isinstance(labels, str) else labels
+        if self.label is not None and not labels:
+            warn_no_failure("no label is listed in fail_label")
         for label in labels:
             if label not in declared:
                 known = ", ".join(declared) or "none"
@@ -264,8 +266,10 @@ def kind_of_value(text: str) -> str:
         return f": {INTERVALS}"
     if text[0] == "$":
         return ": there is no such placeholder"
-    if _IDENTIFIER.search(text) and text.strip("+-").lower() not in ("nan", "inf", "infinity"):
-        return f": {PARAMETRIC}"
+    try:
+        float(text)  # as nan and 1e999
+    except ValueError:
+        return f": {PARAMETRIC}" if _IDENTIFIER.search(text) else ""
     return ""
 
 

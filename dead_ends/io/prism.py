@@ -101,13 +101,16 @@ def save_prism(path: str | os.PathLike[str], model: SafeMDP) -> None:
 
     Raises:
         ValueError: if a name cannot be written, the model is an estimate (the format cannot
-            say so), or the folder does not exist.
+            say so), the folder does not exist, or compressed labels or states lie there.
         OSError: if a file cannot be written.
     """
     check_no_estimate(path, model)
     _check_names(path, model)
     target = Path(path)
     labels, states = (target.with_suffix(suffix) for suffix in (".lab", ".sta"))
+    for beside in (Path(f"{labels}{GZIP}"), Path(f"{states}{GZIP}")):
+        if beside.exists():
+            raise ValueError(f"{path}: {beside} is there, and would be read with this model")
     with ExitStack() as files:  # renamed in reverse order, once all are written
         _write_transitions(files.enter_context(atomic_path(target)), model)
         _write_labels(files.enter_context(atomic_path(labels)), model)
@@ -383,6 +386,8 @@ def _read_values(tokens: Tokens, num_states: int) -> dict[str, list[str]]:
         row = [values[1:-1]] if header == _NAMES_HEADER else values[1:-1].split(",")
         if len(row) != len(variables):
             raise tokens.error(line, f"expected {len(variables)} values, not {len(row)}")
+        if rows[int(number)] is not None:
+            raise tokens.error(line, f"state {int(number)} for the second time")
         rows[int(number)] = row
     if None in rows:
         raise ValueError(f"{tokens.path}: state {rows.index(None)} is missing")
@@ -405,8 +410,9 @@ def _variables(table: dict[str, list[str]]) -> dict[str, NDArray[Any]]:
         if set(values) <= {"true", "false"}:
             columns[name] = np.array(values) == "true"
         else:
-            with suppress(ValueError):  # texts
-                columns[name] = np.array(values).astype(np.float64)
+            for kind in (np.float64, np.int64):  # integers are exact, also beyond 2**53
+                with suppress(ValueError, OverflowError):  # texts
+                    columns[name] = np.array(values).astype(kind)
     return columns
 
 

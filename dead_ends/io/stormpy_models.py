@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -195,7 +196,7 @@ def _variables(model: Any) -> dict[str, NDArray[Any]]:
         return {}
     valuations = model.state_valuations
     columns = {
-        variable.name: valuations.get_values_states(variable)
+        variable.name: _values(valuations, variable)
         for variable in valuations.get_all_variables()
         if not variable.has_string_type()
     }
@@ -203,6 +204,14 @@ def _variables(model: Any) -> dict[str, NDArray[Any]]:
         name: np.array(values, dtype=None if isinstance(values[0], bool | int) else np.float64)
         for name, values in sorted(columns.items())
     }
+
+
+def _values(valuations: Any, variable: Any) -> Any:
+    """A variable's value in each state; of real ones Storm has to be told how it stores them."""
+    if variable.has_rational_type():
+        with suppress(RuntimeError):  # stored as fractions
+            return valuations.get_double_values(variable)
+    return valuations.get_values_states(variable)
 
 
 def _state_names(variables: Mapping[str, NDArray[Any]]) -> tuple[str, ...] | None:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import os
 import re
+from codecs import BOM_UTF8
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -49,7 +50,8 @@ class Tokens:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
-        self._data: Bytes = np.frombuffer(read_bytes(path), dtype=np.uint8)
+        content = read_bytes(path).removeprefix(BOM_UTF8)  # editors of Windows write it
+        self._data: Bytes = np.frombuffer(content, dtype=np.uint8)
         tokens, lines = _count(self._data)
         self._start, self._stop = np.empty(tokens, np.int64), np.empty(tokens, np.int64)
         self.first: Integers = np.empty(lines + 1, dtype=np.int64)

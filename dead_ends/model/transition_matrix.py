@@ -107,7 +107,7 @@ def _listed(P: NDArray[np.object_], available: NDArray[np.bool_]) -> ExactEntrie
     dense = P.reshape(num_states * num_actions, num_states)[rows]
     try:
         place, column = np.nonzero(np.asarray(dense != 0, dtype=np.bool_))
-    except ValueError:
+    except (ValueError, ArithmeticError):  # as of arrays, of a signalling NaN
         raise ValueError("P holds objects that are no numbers") from None
     return ExactEntries(
         row=rows[place],

@@ -70,6 +70,9 @@ def test_meaning(text: str, expected: list[bool]) -> None:
         ("(x := 1) == 1", "is not allowed"),
         ("\0", "not an expression"),
         (f"{10**400} > s / 1.5", "too large"),
+        ("s * 4611686018427387904 * 4 == 0", "numbers are too large"),
+        ("s - 9223372036854775807 - 9 > 0", "numbers are too large"),
+        ("r * 1e308 < 0", "numbers are too large"),
     ],
 )
 def test_everything_else_is_refused(text: str, message: str) -> None:

@@ -267,6 +267,11 @@ def test_a_label_that_no_state_carries_is_said(labels: Any, tmp_path: Path) -> N
     ]
 
 
+def test_an_empty_list_of_labels_is_said(tmp_path: Path) -> None:
+    with pytest.warns(NoFailureWarning, match="no label is listed in fail_label, so that"):
+        assert not load_model(write(tmp_path), fail_label=[]).fail.any()
+
+
 def test_the_label_fail_without_a_state_is_said(tmp_path: Path) -> None:
     path = write(tmp_path, lab=LAB.replace("deadlock", "fail"))
     with pytest.warns(NoFailureWarning, match="no state carries the label 'fail'"):
@@ -297,6 +302,11 @@ def test_variables_of_states_say_which_fail(tmp_path: Path) -> None:
     ):
         with pytest.raises(ValueError, match=f"model.tra: condition '{condition}': {message}"):
             fail(condition)
+
+
+def test_large_variables_are_exact(tmp_path: Path) -> None:
+    path = write(tmp_path, sta=f"(x)\n0:({2**53})\n1:({2**53 + 1})\n2:(0)\n3:(1)\n")
+    assert load_model(path, fail_if=f"x == {2**53}").fail.tolist() == [True, False, False, False]
 
 
 def test_names_of_states_are_no_variables(tmp_path: Path) -> None:
@@ -360,6 +370,17 @@ def test_an_old_state_file_does_not_stay(tmp_path: Path) -> None:
     assert (tmp_path / "model.sta").exists()
     save_model(path, models()["table"])
     assert load_model(path).state_names is None
+
+
+@pytest.mark.parametrize("suffix", [".lab", ".sta"])
+def test_nothing_is_written_beside_compressed_files_of_another_model(
+    suffix: str, tmp_path: Path
+) -> None:
+    path, other = tmp_path / "model.tra", tmp_path / f"model{suffix}.gz"
+    other.write_bytes(b"")
+    with pytest.raises(ValueError, match=f"{path}: {other} is there, and would be read with"):
+        save_model(path, models()["table"])
+    assert list(tmp_path.iterdir()) == [other]
 
 
 @pytest.mark.parametrize("suffix", [".tra", ".drn"])
@@ -427,7 +448,9 @@ def test_many_named_actions(suffix: str, tmp_path: Path) -> None:
         ("2 0 3 1", "7 0 3 1", r"line 6: state 7 does not exist \(0 to 3\)"),
         ("2 0 3 1", "-2 0 3 1", "line 6: '-2' is not a state"),
         ("2 0 3 1", "2 x 3 1", "line 6: 'x' is not a choice"),
-        ("2 0 3 1", "2 0 3 p", "line 6: 'p' is not a probability"),
+        ("2 0 3 1", "2 0 3 p", "line 6: 'p' is not a probability: the model is parametric"),
+        ("2 0 3 1", "2 0 3 1e999", "line 6: '1e999' is not a probability$"),
+        ("2 0 3 1", "2 0 3 -inf", "line 6: '-inf' is not a probability$"),
         (
             "0 0 2 0.5",
             "0 0 2 0.499",
@@ -486,6 +509,7 @@ def test_bad_labels(old: str, new: str, message: str, tmp_path: Path) -> None:
         ("3:(1,1)", "9:(1,1)", "line 5: state 9 does not exist"),
         ("3:(1,1)", "3 (1,1)", "line 5: expected 'state:"),
         ("3:(1,1)", "", "state 3 is missing"),
+        ("3:(1,1)", "3:(1,1)\n1:(9,9)", "line 6: state 1 for the second time"),
         (STA, "", "the file is empty"),
     ],
 )

@@ -253,6 +253,22 @@ class TestWithStorm:
         assert model.initial is not None
         assert value_iteration(model, 1.0).V @ model.initial == pytest.approx(theirs)
 
+    def test_real_variables_of_jani(self, tmp_path: Path) -> None:
+        """As those that hold rewards, which most published models have."""
+        from stormpy.examples.files import jani_dtmc_die as die
+
+        content = json.loads(Path(die).read_text(encoding="utf-8-sig"))
+        half = {"ref": "cost", "value": {"op": "/", "left": "d", "right": 2}}
+        content["automata"][0]["locations"][0]["transient-values"] = [half]
+        content["variables"] += [
+            {"name": "cost", "type": "real", "transient": True, "initial-value": 0}
+        ]
+        path = tmp_path / "die.jani"
+        path.write_text(json.dumps(content))
+        costly, known = (load_model(path, fail_if=text) for text in ("cost >= 2.5", "d >= 5"))
+        assert known.fail.sum() == 2
+        assert np.array_equal(costly.fail, known.fail)
+
     def test_states_are_called_by_their_variables(self, program: Path) -> None:
         program.write_text("dtmc\nmodule m\nb:bool; x:[0..1];\n[] true -> (b'=!b);\nendmodule\n")
         assert load_model(program, fail_if="b").state_names == ("!b, x=0", "b, x=0")

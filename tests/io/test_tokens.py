@@ -32,6 +32,10 @@ def test_lines_and_tokens_are_those_of_split(content: bytes, tmp_path: Path) -> 
     ]
 
 
+def test_a_byte_order_mark_is_no_text(tmp_path: Path) -> None:
+    assert tokens_of(tmp_path, "\ufeffa \ufeff".encode()).line_text(0) == "a \ufeff"
+
+
 def test_numbers_are_those_of_float(tmp_path: Path) -> None:
     rng = random.Random(0)
     texts = ["0", "1", "1.", ".5", "0.1", "-2.5", "+3", "1e-3", "2E5", "0.000000000000001"]

@@ -508,9 +508,10 @@ def test_odd_kernels_are_refused_soon(P: object, message: str) -> None:
     assert len(str(caught.value)) < 300
 
 
-def test_arrays_among_fractions() -> None:
+@pytest.mark.parametrize("odd", [np.arange(2), Decimal("sNaN")])
+def test_no_numbers_among_fractions(odd: object) -> None:
     P = np.full((3, 1, 3), Fraction(1, 3), dtype=object)
-    P[0, 0, 0] = np.arange(2)
+    P[0, 0, 0] = odd
     with pytest.raises(ValueError, match="P holds objects that are no numbers"):
         SafeMDP.stochastic(P, FAIL_LAST)
 
