@@ -314,7 +314,7 @@ class _Exploration:
 
     def _number(self, place: Hashable) -> int:
         if place not in self.numbers:
-            if len(self.numbers) == self.max_states:
+            if len(self.numbers) >= self.max_states:
                 raise ValueError(f"more than {self.max_states} states (max_states)")
             self.numbers[place] = len(self.numbers)
             if self.bar is not None:

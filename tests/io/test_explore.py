@@ -372,6 +372,13 @@ def test_wrappers_that_change_no_step() -> None:
     assert explore(gymnasium.Wrapper(env), position).num_states == 11
 
 
+@pytest.mark.parametrize("limit", [0, 1, 10])
+def test_the_limit_of_states(limit: int) -> None:
+    with pytest.raises(ValueError, match=rf"more than {limit} states \(max_states\)"):
+        explore(Line(), position, max_states=limit)
+    assert explore(Line(), position, max_states=11).num_states == 11
+
+
 class NoCopies(Line):
     def __deepcopy__(self, memo: Any) -> Any:
         raise RuntimeError("a camera is open")
