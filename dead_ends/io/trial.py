@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import copy
 import random
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from types import FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -127,14 +128,34 @@ def global_generators_kept() -> Iterator[None]:
 
 
 def use_randomness(env: Any, rng: np.random.Generator) -> None:
-    """Let all that the environment may draw from go on differently: its own generators, which
-    are replaced or seeded anew, and the global ones (see :func:`global_generators_kept`)."""
+    """Let all that the environment may draw from go on differently: the global generators (see
+    :func:`global_generators_kept`) and its own, also those inside its parts, which are seeded
+    anew."""
     seed = int(rng.integers(2**32))
     random.seed(seed)
     np.random.seed(seed)  # noqa: NPY002  (environments draw from it)
     env.np_random = rng
-    for name, value in list(vars(env).items()):
-        if isinstance(value, np.random.Generator):
-            setattr(env, name, rng)
-        elif isinstance(value, random.Random | np.random.RandomState):
-            value.seed(seed)
+    for generator in _generators(env, {id(rng)}):
+        if isinstance(generator, np.random.Generator):
+            bits = generator.bit_generator
+            bits.state = type(bits)(seed).state
+        else:
+            generator.seed(seed)
+
+
+def _generators(whole: Any, seen: set[int]) -> Iterator[Any]:
+    """The generators that can be reached through attributes, lists, tuples and dictionaries."""
+    waiting = [whole]
+    while waiting:
+        thing = waiting.pop()
+        if id(thing) in seen or isinstance(thing, type | ModuleType | FunctionType):
+            continue
+        seen.add(id(thing))
+        if isinstance(thing, np.random.Generator | np.random.RandomState | random.Random):
+            yield thing
+        elif isinstance(thing, Mapping):
+            waiting.extend(thing.values())
+        elif isinstance(thing, list | tuple):
+            waiting.extend(thing)
+        else:
+            waiting.extend(getattr(thing, "__dict__", {}).values())

@@ -4,6 +4,7 @@ import random
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -264,6 +265,17 @@ class OwnDraw(Line):
         return int(self.draw.integers(2)) * action
 
 
+class PartsDraw(Line):
+    """The first draw alone would always be the same, and a walk always begins with it."""
+
+    def __init__(self) -> None:
+        self.parts = [{"weather": SimpleNamespace(draw=np.random.default_rng(0))}]
+
+    def move(self, action: int) -> int:
+        chance = self.s == 9 and self.parts[0]["weather"].draw.random() < 0.3
+        return 0 if chance else action
+
+
 SHARED = np.random.default_rng(0)
 
 
@@ -272,7 +284,7 @@ class SharedDraw(Line):
         return int(SHARED.integers(2)) * action
 
 
-@pytest.mark.parametrize("env", [PythonsDraw(), NumPysDraw(), OwnDraw(), SharedDraw()])
+@pytest.mark.parametrize("env", [PythonsDraw(), NumPysDraw(), OwnDraw(), PartsDraw(), SharedDraw()])
 def test_chance_is_noticed_wherever_it_comes_from(env: Any) -> None:
     ours = random.getstate(), np.random.get_state()[1].tolist()  # type: ignore[index, union-attr]  # noqa: NPY002
     with pytest.raises(ValueError, match="the environment is stochastic"):
