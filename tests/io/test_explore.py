@@ -273,7 +273,7 @@ class PartsDraw(Line):
 
     def move(self, action: int) -> int:
         chance = self.s == 9 and self.parts[0]["weather"].draw.random() < 0.3
-        return 0 if chance else action
+        return 0 if chance else 1 + action
 
 
 SHARED = np.random.default_rng(0)
