@@ -4,7 +4,8 @@ An environment that can be copied and stepped is a graph: from each new state ev
 tried on a copy. A *key* tells states apart: a value with all that the future depends on, see
 :mod:`dead_ends.io.environment_model`. Ends by a time limit are none of the task's: copies are
 made of ``env.unwrapped``, so that wrappers, a TimeLimit too, do not count, and truncation is
-ignored.
+ignored. Some hundred steps are made with the wrappers as well: one that changes where actions lead,
+or when episodes end, is refused.
 
 What is assumed is tried. Every step is made twice, with other random numbers and with the actions
 in another order. Where a key is met again on another path, its successors are compared with the
@@ -43,11 +44,14 @@ from dead_ends.io.gymnasium_table import environment_name
 from dead_ends.io.transitions import Condition, Transitions, build_model, violations
 from dead_ends.io.trial import (
     copy_of,
+    copy_with_wrappers,
     discrete_range,
     global_generators_kept,
     numerals,
+    take_step,
     use_randomness,
 )
+from dead_ends.model.safe_mdp import SafeMDP
 
 __all__ = ["MAX_STATES", "explore", "explore_minigrid", "minigrid_key"]
 
@@ -89,8 +93,8 @@ def explore(
 
     Raises:
         ValueError: if the action space is not Discrete, there are more states than
-            ``max_states``, a step or the reset has two different outcomes, or one key has
-            different successors.
+            ``max_states``, a step or the reset has two different outcomes, one key has
+            different successors, or a wrapper changes what steps do.
         MissingDependencyError: if Gymnasium is not installed, or ``progress`` and tqdm is not.
     """
     with located(environment_name(env)), global_generators_kept(), ExitStack() as stack:
@@ -150,6 +154,7 @@ class _Exploration:
         self, env: Any, key: Key, max_states: int, name: Name | None, bar: Any, seed: int | None
     ) -> None:
         self.actions = discrete_range(env.action_space, "actions")
+        self.env = env
         self.key = key
         self.max_states = max_states
         self.name = name
@@ -185,6 +190,7 @@ class _Exploration:
                     if not is_new:
                         met.add(path)
         self._walk()
+        self._walk_with_wrappers()
 
     def model(self, fail_if: Condition | None) -> EnvironmentModel:
         """The model of what was found."""
@@ -196,7 +202,10 @@ class _Exploration:
             harmless[transitions.target[~violates]] = True
             fails = transitions.terminal & ~harmless
             transitions = replace(transitions, fail=fails, terminal=transitions.terminal & ~fails)
-        return model_of_environment(build_model(transitions, fail_if), self.numbers, seed=self.seed)
+        own = getattr(self.env.unwrapped, "model", None)
+        estimate = isinstance(own, SafeMDP) and own.estimate
+        model = replace(build_model(transitions, fail_if), estimate=estimate)
+        return model_of_environment(model, self.numbers, seed=self.seed)
 
     def _first(self, env: Any) -> Any:
         """A copy in the first state; reset twice, if at all, while the global generators differ."""
@@ -231,8 +240,8 @@ class _Exploration:
     def _step(self, env: Any, action: int, rng: np.random.Generator) -> Outcome:
         child = copy.deepcopy(env)
         use_randomness(child, rng)
-        _, reward, terminated, _, _ = child.step(action)
-        return child, self._place(child, terminated), float(reward), bool(terminated)
+        _, reward, terminated, _ = take_step(child, action)
+        return child, self._place(child, terminated), reward, terminated
 
     def _compare(self, state: int, env: Any) -> None:
         """Another copy with a known key: its successors are those of the first."""
@@ -244,12 +253,34 @@ class _Exploration:
         env, state = copy.deepcopy(self.first), 0
         use_randomness(env, self.rng)
         for index in self.rng.integers(len(self.actions), size=WALK_STEPS).tolist():
-            _, reward, terminated, truncated, _ = env.step(self.actions[index])
+            _, reward, terminated, truncated = take_step(env, self.actions[index])
             place = self._place(env, terminated)
-            self._check(state, index, (env, place, float(reward), bool(terminated)))
+            self._check(state, index, (env, place, reward, terminated))
             state = self.numbers[place]
             if terminated or truncated:
                 env, state = copy.deepcopy(self.first), 0
+
+    def _walk_with_wrappers(self) -> None:
+        """Random steps of the environment as it was given: its wrappers must not change them."""
+        first = copy_with_wrappers(self.env)
+        if first is None:
+            return
+        use_randomness(first.unwrapped, self.rng)
+        if self.seed is not None:
+            first.reset(seed=self.seed)
+        env, state = copy.deepcopy(first), self.numbers.get(self._key(first.unwrapped))
+        for index in self.rng.integers(len(self.actions), size=WALK_STEPS).tolist():
+            known = None if state is None else self.rows[self.row_of[state] + index][2]
+            _, _, terminated, truncated = take_step(env, self.actions[index])
+            place = self._place(env.unwrapped, terminated)
+            if known is None or self.numbers.get(place) != known:
+                raise ValueError(
+                    f"with its wrapper {type(first).__name__} the environment moves otherwise "
+                    "than without; a model is of env.unwrapped, and so must be what is corrected"
+                )
+            state = known
+            if terminated or truncated:
+                env, state = copy.deepcopy(first), 0
 
     def _check(self, state: int, index: int, outcome: Outcome) -> None:
         _, place, reward, ended = outcome
@@ -283,7 +314,7 @@ class _Exploration:
 
     def _number(self, place: Hashable) -> int:
         if place not in self.numbers:
-            if len(self.numbers) == self.max_states:
+            if len(self.numbers) >= self.max_states:
                 raise ValueError(f"more than {self.max_states} states (max_states)")
             self.numbers[place] = len(self.numbers)
             if self.bar is not None:

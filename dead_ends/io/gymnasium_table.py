@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dead_ends.io.environment_model import model_of_environment
+from dead_ends.io.environment_model import model_of_environment, short
 from dead_ends.io.errors import located, optional_module
 from dead_ends.io.table_trial import check_steps
 from dead_ends.io.transitions import Condition, Transitions, build_model, state_mask
@@ -119,7 +119,7 @@ def load_gymnasium(
         table = table_digest(env)
         if isinstance(environment, str):
             _check_same(table, make_environment(environment, arguments))
-        check_steps(unwrapped, transitions)
+        check_steps(env, transitions)
         if fail_states is not None:
             transitions = replace(transitions, fail=state_mask(fail_states, transitions.num_states))
         estimate = isinstance(own, SafeMDP) and own.estimate
@@ -189,10 +189,10 @@ def _read_table(env: Any) -> Transitions:
     actions = None if space is None else discrete_range(space, "actions")
     first = 0 if actions is None else actions.start
     rows = [
-        (state, action, successor, probability, reward, bool(done))
+        (state, action, *outcome)
         for state, row in enumerate(states)
         for action, outcomes in _items(row, state, actions)
-        for probability, successor, reward, done in outcomes
+        for outcome in _outcomes(outcomes, state, action)
     ]
     if not rows:
         raise ValueError("the transition table P is empty")
@@ -211,9 +211,29 @@ def _read_table(env: Any) -> Transitions:
     )
 
 
+def _outcomes(outcomes: Any, state: int, action: int) -> list[tuple[int, float, float, bool]]:
+    """Successor, probability, reward, whether the episode ends."""
+    try:
+        rows = [
+            (int(successor), float(probability), float(reward), bool(done))
+            for probability, successor, reward, done in outcomes
+        ]
+        if all(row[0] == outcome[1] for row, outcome in zip(rows, outcomes, strict=True)):
+            return rows
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise ValueError(
+        f"state {state}, action {action}: P must list (probability, next state, reward, "
+        f"terminated), not {short(outcomes)}"
+    )
+
+
 def _numbered(table: Any, what: str) -> list[Any]:
     if not isinstance(table, Mapping):
-        return list(table)
+        try:
+            return list(table)
+        except TypeError:
+            raise ValueError(f"{what} must be a table, not {table!r}") from None
     if sorted(table) != list(range(len(table))):
         raise ValueError(f"the keys of {what} must be 0 to {len(table) - 1}")
     return [table[state] for state in range(len(table))]
@@ -222,6 +242,7 @@ def _numbered(table: Any, what: str) -> list[Any]:
 def _items(row: Any, state: int, actions: range | None) -> list[tuple[int, Any]]:
     """The environment's actions in a state; a dictionary may leave out those not available."""
     if not isinstance(row, Mapping):
+        row = _numbered(row, f"P[{state}]")
         row = dict(enumerate(row, 0 if actions is None else actions.start))
     if not all(isinstance(action, int | np.integer) for action in row):
         raise ValueError(f"state {state}: the keys of P[{state}] must be numbers of actions")

@@ -14,8 +14,16 @@ from typing import Any
 
 import numpy as np
 
+from dead_ends.io.errors import optional_module
 from dead_ends.io.transitions import Transitions
-from dead_ends.io.trial import copy_of, global_generators_kept, is_discrete, use_randomness
+from dead_ends.io.trial import (
+    copy_of,
+    copy_with_wrappers,
+    global_generators_kept,
+    is_discrete,
+    take_step,
+    use_randomness,
+)
 
 __all__ = ["check_steps"]
 
@@ -33,17 +41,20 @@ def check_steps(env: Any, transitions: Transitions) -> None:
     """Compare steps of a copy of the environment with its table.
 
     Args:
-        env: unwrapped; not changed. Without ``step``, or with observations that are no numbers
-            of states, there is nothing to compare.
+        env: with its wrappers; not changed. Without ``step``, or with observations that are no
+            numbers of states, there is nothing to compare.
         transitions: its table, with ``done`` and ``reward``.
 
     Raises:
         ValueError: naming a step, or a first state, that the table excludes.
     """
-    if not hasattr(env, "step") or not is_discrete(env.observation_space):
+    core = env.unwrapped
+    step = getattr(type(core), "step", None)
+    none = optional_module("gymnasium", "an environment", "gym").Env.step
+    if step in (None, none) or not is_discrete(core.observation_space):
         return
     outcomes = _outcomes(transitions)
-    for state, index, seen in _steps(env, outcomes, transitions):
+    for state, index, seen in _steps(copy_of(core), outcomes, transitions):
         if not any(_equal(seen, outcome) for outcome in outcomes[state][index]):
             successor, ends, reward = seen
             raise ValueError(
@@ -51,21 +62,36 @@ def check_steps(env: Any, transitions: Transitions) -> None:
                 f"{successor} with reward {reward:g}{', where the episode ends,' if ends else ''} "
                 "and the table P gives that probability 0"
             )
+    wrapped = copy_with_wrappers(env)
+    if wrapped is None:
+        return
+    for state, index, seen in _steps(wrapped, outcomes, transitions):
+        if not any(seen[:2] == outcome[:2] for outcome in outcomes[state][index]):
+            raise ValueError(
+                f"state {state}, action {index + transitions.first_action}: with its wrapper "
+                f"{type(wrapped).__name__} the environment moves otherwise than its table P; the "
+                "model is of env.unwrapped, and so must be what is corrected"
+            )
 
 
 def _steps(
     env: Any, outcomes: Outcomes, transitions: Transitions
 ) -> Iterator[tuple[int, int, Outcome]]:
-    """State, index of the action and what came of it, taking the action least often tried."""
+    """State, index of the action and what came of it, taking the action least often tried.
+
+    A wrapper's reset may bring another table; then there is no more to compare.
+    """
     rng = np.random.default_rng(0)
     tried = {state: dict.fromkeys(actions, 0) for state, actions in outcomes.items()}
-    left = STEPS
+    left, core = STEPS, env.unwrapped
     with global_generators_kept():
-        env = copy_of(env)
-        use_randomness(env, rng)
+        use_randomness(core, rng)
         while left > 0:
             left -= 1
-            state = int(env.reset(seed=int(rng.integers(2**31)))[0])
+            observation, _ = env.reset(seed=int(rng.integers(2**31)))
+            if env.unwrapped is not core:
+                return
+            state = _number(observation)
             _check_start(state, transitions)
             for _ in range(EPISODE_STEPS):
                 if state not in tried:
@@ -75,13 +101,21 @@ def _steps(
                 index = least[int(rng.integers(len(least)))]
                 counts[index] += 1
                 left -= 1
-                successor, reward, terminated, truncated, _ = env.step(
-                    index + transitions.first_action
-                )
-                yield state, index, (int(successor), bool(terminated), float(reward))
-                state = int(successor)
+                action = index + transitions.first_action
+                successor, reward, terminated, truncated = take_step(env, action)
+                yield state, index, (_number(successor), terminated, reward)
+                state = _number(successor)
                 if terminated or truncated:
                     break
+
+
+def _number(observation: Any) -> int:
+    try:
+        return int(np.asarray(observation).item())
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"the observation {observation!r} is no number of a state, as its space says"
+        ) from None
 
 
 def _check_start(state: int, transitions: Transitions) -> None:

@@ -84,8 +84,10 @@ class TabularCorrection(gymnasium.Wrapper[Any, int, Any, int], RecordConstructor
         self._make = table if callable(table) else None
         if isinstance(table, FilterTable):
             self._use(table)
-        elif not callable(table):
+        elif isinstance(table, str | os.PathLike):
             self._use(load_filter(table))
+        elif not callable(table):
+            self._use(table)
         elif key is None and transition_table(env) is None:
             raise ValueError("a table that is made at resets needs a key to tell layouts apart")
         self.steps = 0
@@ -162,6 +164,10 @@ class TabularCorrection(gymnasium.Wrapper[Any, int, Any, int], RecordConstructor
 
     def _use(self, table: FilterTable) -> None:
         """Take the table, if it is one of this environment."""
+        if not isinstance(table, FilterTable):
+            raise ValueError(
+                f"a filter is needed, as safety_filter makes of a model, not {type(table).__name__}"
+            )
         num_states, num_actions = table.allowed.shape
         if num_actions != len(self.actions):
             raise ValueError(

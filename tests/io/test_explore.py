@@ -3,12 +3,16 @@
 import random
 import sys
 from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 
+from dead_ends.envs.safe_mdp_env import SafeMDPEnv
+from dead_ends.io.estimation import estimate_model
 from dead_ends.io import NoFailureWarning, load_model
 from dead_ends.io.environment_model import EnvironmentModel
 from dead_ends.io.errors import MissingDependencyError
@@ -261,6 +265,17 @@ class OwnDraw(Line):
         return int(self.draw.integers(2)) * action
 
 
+class PartsDraw(Line):
+    """The first draw alone would always be the same, and a walk always begins with it."""
+
+    def __init__(self) -> None:
+        self.parts = [{"weather": SimpleNamespace(draw=np.random.default_rng(0))}]
+
+    def move(self, action: int) -> int:
+        chance = self.s == 9 and self.parts[0]["weather"].draw.random() < 0.3
+        return 0 if chance else 1 + action
+
+
 SHARED = np.random.default_rng(0)
 
 
@@ -269,7 +284,7 @@ class SharedDraw(Line):
         return int(SHARED.integers(2)) * action
 
 
-@pytest.mark.parametrize("env", [PythonsDraw(), NumPysDraw(), OwnDraw(), SharedDraw()])
+@pytest.mark.parametrize("env", [PythonsDraw(), NumPysDraw(), OwnDraw(), PartsDraw(), SharedDraw()])
 def test_chance_is_noticed_wherever_it_comes_from(env: Any) -> None:
     ours = random.getstate(), np.random.get_state()[1].tolist()  # type: ignore[index, union-attr]  # noqa: NPY002
     with pytest.raises(ValueError, match="the environment is stochastic"):
@@ -336,3 +351,78 @@ def test_minigrid_options() -> None:
         load_model("MiniGrid-LavaGapS5-v0", fail_states=[0])
     with pytest.raises(ValueError, match="the environment is stochastic"):
         explore_minigrid(gymnasium.make("MiniGrid-Dynamic-Obstacles-5x5-v0"))
+
+
+class Twice(gymnasium.Wrapper[Any, int, Any, int]):
+    """Each action is done twice."""
+
+    def step(self, action: int) -> Any:
+        self.env.step(action)
+        return self.env.step(action)
+
+
+class EndsEarly(gymnasium.Wrapper[Any, int, Any, int]):
+    """The episode is over beyond 5."""
+
+    def step(self, action: int) -> Any:
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return observation, reward, terminated or observation > 5, truncated, info
+
+
+@pytest.mark.parametrize("wrapper", [Twice, EndsEarly])
+def test_a_wrapper_that_changes_the_steps_is_refused(wrapper: Any) -> None:
+    """Or a filter made from the model would promise what the environment does not keep."""
+    with pytest.raises(
+        ValueError, match=rf"with its wrapper {wrapper.__name__} the environment mo"
+    ):
+        explore(gymnasium.wrappers.TimeLimit(wrapper(Line()), 100), position)
+
+
+def test_wrappers_that_change_no_step() -> None:
+    reward = gymnasium.wrappers.TransformReward(Line(), lambda reward: reward - 1)
+    env = gymnasium.wrappers.TimeLimit(gymnasium.wrappers.FlattenObservation(reward), 1)
+    assert explore(gymnasium.Wrapper(env), position).num_states == 11
+
+
+@pytest.mark.parametrize("limit", [0, 1, 10])
+def test_the_limit_of_states(limit: int) -> None:
+    with pytest.raises(ValueError, match=rf"more than {limit} states \(max_states\)"):
+        explore(Line(), position, max_states=limit)
+    assert explore(Line(), position, max_states=11).num_states == 11
+
+
+class NoCopies(Line):
+    def __deepcopy__(self, memo: Any) -> Any:
+        raise RuntimeError("a camera is open")
+
+
+class OldStep(Line):
+    def step(self, action: int) -> Any:
+        observation, reward, terminated, _, info = super().step(action)
+        return observation, reward, terminated, info
+
+
+class ManyRewards(Line):
+    def step(self, action: int) -> Any:
+        observation, _, *rest = super().step(action)
+        return observation, np.zeros(2), *rest
+
+
+@pytest.mark.parametrize(
+    ("env", "message"),
+    [
+        (NoCopies(), "the environment cannot be copied: a camera is open"),
+        (OldStep(), "action 0: a step must give observation, .* and info, not 4 values"),
+        (ManyRewards(), "action 0: a step's reward, terminated and truncated must be one number"),
+    ],
+)
+def test_environments_that_are_not_gymnasiums(env: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        explore(env, position)
+
+
+def test_what_steps_an_estimate_is_an_estimate() -> None:
+    log = [(0, 0, 1), (1, 0, 1)]
+    model = estimate_model(2, 2, log, np.zeros(2, bool), "optimistic", deterministic=True)
+    env = SafeMDPEnv(replace(model, initial=np.array([1.0, 0.0])))
+    assert explore(env, lambda env: env.state).estimate

@@ -140,6 +140,11 @@ def test_any_object_with_a_table() -> None:
         ({0: {"go": []}}, r"state 0: the keys of P\[0\] must be numbers of actions"),
         ({0: {0: [(0.9, 0, 0, False)]}}, "state 0, action 0: probabilities sum to 0.9, not 1"),
         ({0: {0: [(1.0, 3, 0, False)]}}, "state 0, action 0: successor 3 does not exist"),
+        ({0: {0: [(1.0, 0.5, 0, False)]}}, r"state 0, action 0: P must list .*, not \[\(1.0, 0.5"),
+        ({0: {0: [(1.0, 0, 0)]}}, "state 0, action 0: P must list .probability, next state"),
+        ([[3]], "state 0, action 0: P must list .*, not 3"),
+        ([3], r"P\[0\] must be a table, not 3"),
+        (None, "P must be a table, not None"),
     ],
 )
 def test_bad_tables(P: Any, message: str) -> None:
@@ -306,3 +311,23 @@ def test_without_gymnasium(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     with pytest.raises(MissingDependencyError, match=r"gymnasium: pip install 'dead-ends\[gym\]'"):
         load_gymnasium("FrozenLake-v1")
+
+
+class Backwards(gymnasium.Wrapper[Any, int, Any, int]):
+    def step(self, action: int) -> Any:
+        return self.env.step(3 - action)
+
+
+def test_a_wrapper_that_changes_the_steps_is_refused() -> None:
+    lake = gymnasium.make("FrozenLake-v1", is_slippery=False)
+    message = "with its wrapper Backwards the environment moves otherwise than its table P"
+    with pytest.raises(ValueError, match=message):
+        load_gymnasium(gymnasium.wrappers.TimeLimit(Backwards(lake), 100))
+    assert load_gymnasium(gymnasium.Wrapper(lake)).num_states == 16
+
+
+def test_a_table_without_steps() -> None:
+    class Table(Claims):
+        step = gymnasium.Env.step
+
+    assert load_gymnasium(Table(claimed()), fail_states=[2]).num_states == 3

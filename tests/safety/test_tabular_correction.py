@@ -472,3 +472,13 @@ def test_minari_records_every_info(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         info["task_action"][1:].tolist() == [2] * (len(info["intervened"]) - 1) for info in infos
     )
     assert isinstance(dataset.recover_environment(), gymnasium.Env)
+
+
+def test_a_model_is_no_filter() -> None:
+    env = make("FrozenLake-v1")
+    model: Any = load_model(env)
+    message = "a filter is needed, as safety_filter makes of a model, not EnvironmentModel"
+    with pytest.raises(ValueError, match=message):
+        TabularCorrection(env, model)
+    with pytest.raises(ValueError, match=message):
+        TabularCorrection(env, lambda _: model).reset()
