@@ -207,8 +207,10 @@ def check_shares(shares: Sequence[float], transitions: int) -> list[int]:
     """How many of the transitions each share is.
 
     Raises:
-        ValueError: if the shares are not positive or do not sum to 1.
+        ValueError: if the shares are not positive or do not sum to 1, or nothing is wanted.
     """
+    if transitions < 1:
+        raise ValueError(f"transitions must be at least 1, not {transitions}")
     total = sum(shares)
     if abs(total - 1) > 1e-9 or any(share <= 0 for share in shares):
         raise ValueError(f"shares must be positive and sum to 1, not to {total:g}")

@@ -25,7 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dead_ends.io.atomic import atomic_path
-from deep.data.transitions import Transitions, check_episodes, checked, cut_at_violation
+from deep.data.transitions import (
+    Transitions,
+    check_episodes,
+    check_shapes,
+    checked,
+    cut_at_violation,
+    numbers,
+)
 from deep.tasks.violation import check_rule, violations
 
 if TYPE_CHECKING:
@@ -159,6 +166,7 @@ def _transitions(raw: Columns, cut: bool, violation: str | None) -> Transitions:
     columns = {name: _flat(name, column) for name, column in raw.items()}
     columns["costs"] = violations(columns["costs"], violation)
     columns = {name: checked(name, column) for name, column in columns.items()}
+    check_shapes({"next_observations": columns["observations"]} | columns)
     if violation is not None and not columns["costs"].any():
         raise ValueError(f"costs: there is no violation ({violation}) in the data")
     return Transitions(**_with_next_observations(_ended(columns, cut)))
@@ -276,7 +284,9 @@ def from_minari(
     parts: list[Columns] = []
     for episode in dataset.iterate_episodes():
         try:
-            parts.append(_ended(_episode_columns(episode, violation), cut))
+            columns = _episode_columns(episode, violation)
+            _check_widths(columns, parts)
+            parts.append(_ended(columns, cut))
         except ValueError as error:
             raise ValueError(f"episode {episode.id}: {error}") from error
     if not parts:
@@ -286,19 +296,31 @@ def from_minari(
     )
 
 
+def _check_widths(columns: Columns, before: list[Columns]) -> None:
+    """Episodes have observations and actions of one width each."""
+    for name in ("observations", "actions") if before else ():
+        width, wanted = columns[name].shape[1], before[0][name].shape[1]
+        if width != wanted:
+            raise ValueError(f"{name} in R^{width}, those of the first episode are in R^{wanted}")
+
+
 def _episode_columns(episode: EpisodeData, violation: str | None) -> Columns:
     """The columns of one episode, checked; its last row ends it."""
     length = len(episode.rewards)
+    if not length:
+        raise ValueError("it has no step")
     infos = episode.infos or {}
     if "cost" not in infos:
         raise ValueError("there is no infos['cost']")
-    cost = np.asarray(infos["cost"])
+    cost = numbers("costs", infos["cost"])
     if cost.ndim == 0 or len(cost) not in (length, length + 1):
         raise ValueError(f"{cost.size} costs for {length} steps")
     violated = violations(cost, violation)
     if len(cost) > length and violated[0]:
         raise ValueError("its reset reports a violation: no action led there")
     observations = checked("observations", episode.observations)
+    if observations.shape[:1] != (length + 1,):
+        raise ValueError(f"observations of shape {observations.shape} for {length} steps")
     raw = {
         "observations": observations[:-1],
         "next_observations": observations[1:],
@@ -309,6 +331,7 @@ def _episode_columns(episode: EpisodeData, violation: str | None) -> Columns:
         "timeouts": episode.truncations,
     }
     columns = {name: checked(name, column) for name, column in raw.items()}
+    check_shapes(columns)
     timeouts = columns["timeouts"].copy()
     timeouts[-1] = True
     return columns | {"timeouts": timeouts & ~columns["terminals"]}

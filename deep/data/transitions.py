@@ -8,6 +8,7 @@ Nothing is repaired silently: what is no number, or no flag, is refused by colum
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -20,10 +21,12 @@ __all__ = [
     "Summary",
     "Transitions",
     "check_episodes",
+    "check_shapes",
     "checked",
     "concatenate",
     "cut_at_violation",
     "keep_before_violation",
+    "numbers",
     "summarise",
 ]
 
@@ -55,7 +58,7 @@ class Transitions:
     def __post_init__(self) -> None:
         for field in fields(self):
             object.__setattr__(self, field.name, checked(field.name, getattr(self, field.name)))
-        _check_shapes(self)
+        check_shapes(vars(self))
         violations(self.costs, None)
         check_episodes(self.costs, self.terminals)
         if not self.costs.any():
@@ -90,7 +93,7 @@ def checked(name: str, given: Any) -> NDArray[Any]:
     """
     kind = np.bool_ if name in ("terminals", "timeouts") else np.float32
     ready = type(given) is np.ndarray and given.dtype == kind and not given.flags.writeable
-    array = given if ready else _numbers(name, given)
+    array = given if ready else numbers(name, given)
     if kind is np.bool_:
         _check_each(name, array, (array == 0) | (array == 1), "1 where an episode ends, else 0")
     with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, and is refused
@@ -100,8 +103,12 @@ def checked(name: str, given: Any) -> NDArray[Any]:
     return kept
 
 
-def _numbers(name: str, given: Any) -> NDArray[Any]:
-    """An array of numbers, nothing masked."""
+def numbers(name: str, given: Any) -> NDArray[Any]:
+    """An array of real numbers, nothing masked.
+
+    Raises:
+        ValueError: naming the column, if it is none.
+    """
     if np.ma.is_masked(given):
         raise ValueError(
             f"{name}: row {int(np.argwhere(np.ma.getmaskarray(given))[0][0])} is masked"
@@ -124,24 +131,30 @@ def _check_each(name: str, array: NDArray[Any], good: Bools, meant: str) -> None
     raise ValueError(f"{name}: {row}{column} is {array[place]}, not {meant}")
 
 
-def _check_shapes(data: Transitions) -> None:
-    if data.observations.ndim != 2 or data.actions.ndim != 2:
+def check_shapes(columns: Mapping[str, NDArray[Any]]) -> None:
+    """All columns of :class:`Transitions` have one row a transition, of the shape meant.
+
+    Raises:
+        ValueError: naming the first one that has not.
+    """
+    observations, actions = columns["observations"], columns["actions"]
+    if observations.ndim != 2 or actions.ndim != 2 or not observations.shape[1] * actions.shape[1]:
         raise ValueError(
-            "observations and actions must have shapes (N, dim), not "
-            f"{data.observations.shape} and {data.actions.shape}"
+            "observations and actions must have shapes (N, dim), dim at least 1, not "
+            f"{observations.shape} and {actions.shape}"
         )
-    n = len(data.observations)
+    n = len(observations)
     if n == 0:
         raise ValueError("the data hold no transition")
-    if data.next_observations.shape != data.observations.shape:
+    following, costs = columns["next_observations"], columns["costs"]
+    if following.shape != observations.shape:
         raise ValueError(
-            f"next_observations have shape {data.next_observations.shape}, "
-            f"observations {data.observations.shape}"
+            f"next_observations have shape {following.shape}, observations {observations.shape}"
         )
-    if data.costs.ndim == 2 and data.costs.shape[1] > 1:
-        violations(data.costs, None)  # says how one of several constraints is chosen
+    if costs.ndim == 2 and costs.shape[1] > 1:
+        violations(costs, None)  # says how one of several constraints is chosen
     for name in ("actions", "rewards", "costs", "terminals", "timeouts"):
-        shape = getattr(data, name).shape
+        shape = columns[name].shape
         wanted = (n, *shape[1:]) if name == "actions" else (n,)
         if shape != wanted:
             raise ValueError(f"{name} has shape {shape}, expected {wanted}")

@@ -76,8 +76,10 @@ def new_file(path: Path) -> Iterator[None]:
     """Be the only process that makes this file, in a folder that is made if need be.
 
     Raises:
-        ValueError: if it is there, or another process is making it.
+        ValueError: if it is there, or another process is making it, or it is a folder.
     """
+    if path.is_dir():
+        raise ValueError(f"{path}: is a folder, not a file to write")
     with _made(path.parent), _lock(path.with_name(f".{path.name}.lock"), path):
         if path.exists():
             raise ValueError(f"{path}: it is there already; remove it, or give another name")
@@ -87,6 +89,8 @@ def new_file(path: Path) -> Iterator[None]:
 @contextmanager
 def _made(folder: Path) -> Iterator[None]:
     """A folder that exists; it and its parents go again if they were made for nothing."""
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder}: is a file, not a folder")
     made = [place for place in (folder, *folder.parents) if not place.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     try:

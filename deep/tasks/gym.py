@@ -117,7 +117,7 @@ class GymVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self._began = True
         seeds = self.np_random.integers(SEEDS, size=self.num_envs).tolist()
         first = [copy.reset(seed=own)[0] for copy, own in zip(self._copies, seeds, strict=True)]
-        return self._finite("observations", first).astype(np.float32), {}
+        return self._vectors(first), {}
 
     def step(
         self, actions: NDArray[np.floating]
@@ -128,8 +128,8 @@ class GymVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         bounded = self._bounded(actions)
         rows = [copy.step(action) for copy, action in zip(self._copies, bounded, strict=True)]
         steps, rewards, ends, cuts, infos = zip(*rows, strict=True)
-        observations = self._finite("observations", steps).astype(np.float32)
-        gained = self._finite("rewards", rewards).astype(np.float64)
+        observations = self._vectors(steps)
+        gained = _finite(self.name, "rewards", rewards, ()).astype(np.float64)
         violation = _violated(self.name, infos, ends, self.rules)
         terminated = np.array(ends, dtype=np.bool_) | violation
         truncated = np.array(cuts, dtype=np.bool_) & ~terminated
@@ -141,14 +141,12 @@ class GymVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             info |= {"final_obs": final, "_final_obs": done}
             for index in np.flatnonzero(done):
                 first, _ = self._copies[index].reset()
-                observations[index] = self._finite("observations", first)
+                observations[index] = self._vectors([first])[0]
         return observations, gained, terminated, truncated, info
 
-    def _finite(self, what: str, values: Any) -> NDArray[Any]:
-        found = np.asarray(values)
-        if not np.isfinite(found).all():
-            raise ValueError(f"{self.name}: one of its {what} is not finite: {found.tolist()}")
-        return found
+    def _vectors(self, observations: Sequence[Any]) -> Observations:
+        wanted = self.single_observation_space.shape or ()
+        return _finite(self.name, "observations", observations, wanted).astype(np.float32)
 
     def _bounded(self, actions: NDArray[np.floating]) -> NDArray[Any]:
         """In the type of the environment's actions, whose ends rounding must not pass."""
@@ -173,6 +171,22 @@ def _make(name: str, rules: Rules) -> Env:
             "episode may never end; give --time-limit STEPS (time_limit=STEPS)"
         )
     return made
+
+
+def _finite(name: str, what: str, values: Sequence[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Numbers of one shape that float32 can hold."""
+    try:
+        found = np.asarray(values)
+    except ValueError as error:
+        raise ValueError(f"{name}: its {what} differ in shape ({error})") from error
+    if found.dtype.kind not in "biuf":
+        raise ValueError(f"{name}: its {what} are {found.dtype}, not real numbers: {values[0]!r}")
+    if found.shape[1:] != shape:
+        raise ValueError(f"{name}: its {what} have shape {found.shape[1:]}, not {shape}")
+    with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, and is refused
+        if not np.isfinite(found.astype(np.float32)).all():
+            raise ValueError(f"{name}: one of its {what} is not finite: {found.tolist()}")
+    return found
 
 
 def _is_limited(env: gymnasium.Env[Any, Any]) -> bool:
@@ -219,6 +233,11 @@ def _check_tuples(name: str, env: gymnasium.Env[Any, Any]) -> None:
             f"{name}: step() returns {_shown(stepped)}, where Gymnasium wants the five "
             "(observation, reward, terminated, truncated, info); four are those of Gym before 0.26"
         )
+    if any(np.shape(flag) or flag not in (0, 1) for flag in stepped[2:4]):
+        raise ValueError(
+            f"{name}: step() says that its episode is terminated, truncated: {stepped[2]!r}, "
+            f"{stepped[3]!r}, where Gymnasium wants True or False"
+        )
 
 
 def _shown(returned: Any) -> str:
@@ -236,13 +255,20 @@ def _violated(
     if all(silent) and rules.termination_is_violation and rules.violation is None:
         return terminated
     if any(silent):
+        instead = (
+            "or at none, without --violation (violation=None)"
+            if rules.termination_is_violation
+            else "or give --termination-is-violation (termination_is_violation=True) if whatever "
+            "ends its episodes before the time limit is a violation"
+        )
         raise ValueError(
             f"{name}: its steps report no info['cost'], so that no violation could be counted; "
-            "it must report one at every step (0 where nothing happens), or give "
-            "--termination-is-violation (termination_is_violation=True) if whatever ends its "
-            "episodes before the time limit is a violation"
+            f"it must report one at every step (0 where nothing happens), {instead}"
         )
-    costs = np.asarray([info["cost"] for info in infos])
+    try:
+        costs = np.asarray([info["cost"] for info in infos])
+    except ValueError as error:
+        raise ValueError(f"{name}: info['cost'] differs in shape ({error})") from error
     if costs.dtype.kind not in "biuf":
         raise ValueError(f"{name}: info['cost'] is {infos[0]['cost']!r}, not a number")
     return violations(costs, rules.violation, lambda _: f"{name}: info['cost']") | terminated
@@ -250,13 +276,22 @@ def _violated(
 
 def _observation_space(name: str, env: Env) -> Space:
     space = env.observation_space
-    if not isinstance(space, spaces.Box) or len(space.shape) != 1:
+    if not isinstance(space, spaces.Box) or len(space.shape) != 1 or not space.shape[0]:
         raise ValueError(f"{name}: observations must be vectors of numbers (Box), not {space}")
     return spaces.Box(space.low.astype(np.float32), space.high.astype(np.float32), dtype=np.float32)
 
 
 def _action_space(name: str, env: Env) -> spaces.Box:
     space = env.action_space
-    if not isinstance(space, spaces.Box) or len(space.shape) != 1 or not space.is_bounded():
-        raise ValueError(f"{name}: actions must be vectors within finite bounds (Box), not {space}")
+    if (
+        not isinstance(space, spaces.Box)
+        or len(space.shape) != 1
+        or not space.shape[0]
+        or not np.issubdtype(space.dtype, np.floating)
+        or not space.is_bounded()
+    ):
+        raise ValueError(
+            f"{name}: actions must be vectors of real numbers within finite bounds (Box), not "
+            f"{space}"
+        )
     return space

@@ -89,5 +89,6 @@ def violations(costs: NDArray[Any], rule: str | None, place: Callable[[int], str
             f"{place(row)} is {column_of[row]:g}; a cost is 1 at a violation, else 0, unless you "
             f"say which cost is one, {_option('cost > 0')}"
         )
-    found: Bools = compare(column_of, bound)
+    with np.errstate(over="ignore"):  # a bound beyond the costs' own type is infinite to them
+        found: Bools = compare(column_of, bound)
     return found

@@ -151,6 +151,13 @@ def test_a_rule_says_what_is_a_violation(tmp_path: Path) -> None:
             read_hdf5(path, violation=rule)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_rule_may_name_a_bound_beyond_the_costs_type(tmp_path: Path) -> None:
+    columns = recording() | {"costs": marked(39).astype(np.float32)}
+    path = written(tmp_path / "b.hdf5", columns)
+    assert refusal(path, violation="cost > 1e300").startswith("costs: there is no violation (cost")
+
+
 def test_of_several_constraints_one_is_chosen(tmp_path: Path) -> None:
     costs = np.stack([marked(3, 39), marked(39)], axis=1)
     path = written(tmp_path / "d.hdf5", recording(costs=costs))
@@ -272,6 +279,11 @@ FAULTS: dict[str, Callable[[h5py.File], None]] = {
     ),
     "the data sets differ in length": assign("actions", np.zeros((39, 1))),
     "rewards has shape (40, 2)": assign("rewards", np.zeros((40, 2))),
+    "terminals has shape (40, 2)": assign("terminals", np.zeros((40, 2))),
+    "timeouts has shape (40, 3)": assign("timeouts", np.zeros((40, 3))),
+    "observations and actions must have shapes (N, dim), dim at least 1": assign(
+        "actions", np.zeros((40, 0))
+    ),
     "observations and actions must have shapes (N, dim)": assign("actions", np.zeros(40)),
     "next_observations have shape (40, 3)": assign("next_observations", np.zeros((40, 3))),
     "the data sets timeouts are missing": replaced("timeouts", lambda _: None),
@@ -365,6 +377,14 @@ MINARI = {
         "observations": np.where(np.arange(8).reshape(4, 2) == 7, np.nan, 0)
     },
     "observations: the values are of type object": {"observations": {"a": np.zeros(4)}},
+    "observations of shape (5, 2) for 3 steps": {"observations": np.zeros((5, 2))},
+    "observations of shape () for 3 steps": {"observations": np.float64(3)},
+    "actions has shape (4, 1), expected (3, 1)": {"actions": np.zeros((4, 1))},
+    "terminals has shape (3, 2), expected (3,)": {"terminations": np.zeros((3, 2))},
+    "costs: row 2 is masked": {"infos": {"cost": np.ma.array([0, 0, 1], mask=[0, 0, 1])}},
+    "costs: the values are of type object": {"infos": {"cost": [0, None, 1]}},
+    "costs: rows differ in length": {"infos": {"cost": [[0], [0, 1], [1]]}},
+    "it has no step": {"rewards": np.zeros(0), "infos": {"cost": np.zeros(1)}},
 }
 
 
@@ -372,6 +392,13 @@ MINARI = {
 def test_minari_episodes_with_faults_are_refused(message: str) -> None:
     with pytest.raises(ValueError, match=f"^episode 4: {re.escape(message)}"):
         from_minari(minari(**MINARI[message]))
+
+
+def test_minari_episodes_are_alike() -> None:
+    wide = minari(id=5, observations=np.zeros((4, 3)))
+    two = [*minari().iterate_episodes(), *wide.iterate_episodes()]
+    with pytest.raises(ValueError, match=r"^episode 5: observations in R\^3, those of the first"):
+        from_minari(SimpleNamespace(iterate_episodes=lambda: two))  # type: ignore[arg-type]  # a stand-in
 
 
 def test_minari_datasets_know_the_same_rule() -> None:

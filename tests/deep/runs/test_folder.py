@@ -207,6 +207,24 @@ def test_a_collection_replaces_no_file(tmp_path: Path, capsys: pytest.CaptureFix
     assert out.read_text() == "mine"
 
 
+def test_a_file_is_no_folder_and_a_folder_no_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("mine")
+    assert main(["pretrain", *COMMANDS["pretrain"](tmp_path / "file")]) == 2
+    assert capsys.readouterr().err.endswith("file: is a file, not a folder\n")
+    assert (tmp_path / "file").read_text() == "mine"
+    assert main(["collect", *COMMANDS["collect"](Path())]) == 2
+    assert capsys.readouterr().err == "deep: .: is a folder, not a file to write\n"
+
+
+def test_nothing_to_collect_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    given = [*COMMANDS["collect"](tmp_path / "new" / "x"), "--transitions", "0"]
+    assert main(["collect", *given]) == 2
+    assert capsys.readouterr().err == "deep: transitions must be at least 1, not 0\n"
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("arguments", "option"),
     [

@@ -220,7 +220,10 @@ def test_other_spaces_are_refused() -> None:
     sentence = "observations must be vectors of numbers (Box), not "
     assert sentence + "Discrete(3)" in refusal(spaces.Discrete(3), None)
     assert sentence + "Box(0.0, 1.0, (2, 2), float32)" in refusal(spaces.Box(0, 1, (2, 2)), None)
-    sentence = "actions must be vectors within finite bounds (Box), not "
+    assert sentence + "Box([], [], (0,), float32)" in refusal(spaces.Box(0, 1, (0,)), None)
+    sentence = "actions must be vectors of real numbers within finite bounds (Box), not "
+    assert sentence + "Box(-1, 1, (1,), int64)" in refusal(None, spaces.Box(-1, 1, (1,), np.int64))
+    assert sentence + "Box([], [], (0,), float32)" in refusal(None, spaces.Box(-1, 1, (0,)))
     assert sentence + "Discrete(2)" in refusal(None, spaces.Discrete(2))
     assert sentence + "Box(-1.0, 1.0, (1, 1), float32)" in refusal(None, spaces.Box(-1, 1, (1, 1)))
     assert sentence + "Box(-inf, inf, (1,)" in refusal(None, spaces.Box(-np.inf, np.inf, (1,)))
@@ -266,6 +269,14 @@ class Odd(Counter):
             "text": (observation, reward, over, cut, {"cost": "high"}),
             "nan": (observation * np.nan, reward, over, cut, {"cost": 0.0}),
             "nan reward": (observation, np.nan, over, cut, {"cost": 0.0}),
+            "huge": (np.full(1, 1e300), reward, over, cut, {"cost": 0.0}),
+            "longer": (np.zeros(2), reward, over, cut, {"cost": 0.0}),
+            "complex": (observation * 1j, reward, over, cut, {"cost": 0.0}),
+            "no reward": (observation, None, over, cut, {"cost": 0.0}),
+            "rewards": (observation, np.zeros(2), over, cut, {"cost": 0.0}),
+            "ragged": (observation, reward, over, cut, {"cost": [[1], [1, 2]]}),
+            "no flag": (observation, reward, None, cut, {"cost": 0.0}),
+            "flags": (observation, reward, over, np.array([False]), {"cost": 0.0}),
         }.get(Odd.fault, (observation, reward, over, cut, {"cost": 0.0}))
 
 
@@ -295,6 +306,18 @@ REFUSED = {
     "half": r"^test/Odd-v0: info\['cost'\] is 0.5; a cost is 1 .* --violation \"cost > 0\"",
     "nan cost": r"^test/Odd-v0: info\['cost'\] is nan$",
     "text": r"^test/Odd-v0: info\['cost'\] is 'high', not a number$",
+    "ragged": r"^test/Odd-v0: info\['cost'\] differs in shape",
+    "no flag": r"^test/Odd-v0: step\(\) says that its episode is .*: None, False, where",
+    "flags": r"^test/Odd-v0: step\(\) says that .*, array\(\[False\]\), where Gymnasium wants",
+}
+LATER = {fault: REFUSED[fault] for fault in ("silent", "half", "nan cost")} | {
+    "nan": r"^test/Odd-v0: one of its observations is not finite: \[",
+    "nan reward": r"^test/Odd-v0: one of its rewards is not finite: \[",
+    "huge": r"^test/Odd-v0: one of its observations is not finite: \[",
+    "longer": r"^test/Odd-v0: its observations have shape \(2,\), not \(1,\)$",
+    "complex": r"^test/Odd-v0: its observations are complex128, not real numbers",
+    "no reward": r"^test/Odd-v0: its rewards are object, not real numbers: None$",
+    "rewards": r"^test/Odd-v0: its rewards have shape \(2,\), not \(\)$",
 }
 
 
@@ -306,13 +329,12 @@ def test_environments_that_say_too_little_are_refused_before_the_first_step(
         odd(fault)
 
 
-@pytest.mark.parametrize("fault", ["silent", "half", "nan cost", "nan", "nan reward"])
+@pytest.mark.parametrize("fault", LATER)
 def test_what_goes_wrong_later_stops_the_run(fault: str, odd: Callable[..., GymVectorEnv]) -> None:
     env = odd(fault, after=1)
     env.reset(seed=0)
     env.step(np.zeros((1, 2)))
-    wrong = REFUSED.get(fault, r"^test/Odd-v0: one of its (observations|rewards) is not finite: \[")
-    with pytest.raises(ValueError, match=wrong):
+    with pytest.raises(ValueError, match=LATER[fault]):
         env.step(np.zeros((1, 2)))
 
 
@@ -332,6 +354,12 @@ def test_an_end_can_be_a_violation(odd: Callable[..., GymVectorEnv]) -> None:
     env.reset(seed=0)
     *_, (_, _, terminated, truncated, info) = [env.step(np.zeros((1, 2))) for _ in range(4)]
     assert (bool(terminated[0]), bool(truncated[0]), info["cost"][0]) == (False, True, 0)
+
+
+def test_a_rule_already_given_is_not_advised(odd: Callable[..., GymVectorEnv]) -> None:
+    both = Rules(violation="cost > 0", termination_is_violation=True)
+    with pytest.raises(ValueError, match=r"or at none, without --violation"):
+        odd("silent", both)
 
 
 def test_of_several_constraints_one_counts(odd: Callable[..., GymVectorEnv]) -> None:
