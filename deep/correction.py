@@ -94,7 +94,7 @@ class BehaviorCorrection(
         seen = self._observation[None]
         done = self.safety.correct(seen, np.asarray(action)[None])
         self.watch.add(self.safety, seen, done)
-        executed = done.executed[0].astype(self.env.action_space.dtype)
+        executed = _executed(done.executed, self.env.action_space)[0]
         observation, reward, terminated, truncated, info = self.env.step(executed)
         self._observation = np.array(observation)
         info = info | self._report(
@@ -185,7 +185,7 @@ class BehaviorCorrectionVector(VectorWrapper[NDArray[Any], NDArray[Any], NDArray
         seen = self._observations
         done = self.safety.correct(seen, np.asarray(actions))
         self.watch.add(self.safety, seen, done)
-        executed = done.executed.astype(self.single_action_space.dtype)
+        executed = _executed(done.executed, self.single_action_space)
         observations, rewards, terminated, truncated, info = self.env.step(executed)
         self._observations = np.array(observations)
         info = info | self._report(
@@ -233,6 +233,11 @@ def action_bounds(space: Any) -> Bounds:
             "clip or rescale them in a wrapper"
         )
     return Bounds.of(space.low, space.high)
+
+
+def _executed(actions: NDArray[Any], space: Any) -> NDArray[Any]:
+    """Actions in the type of their space, and within it: there may be no float32 in between."""
+    return np.asarray(np.clip(actions.astype(space.dtype), space.low, space.high))
 
 
 def _fitted(safety: SafetyFilter, observations: Any, actions: Any) -> SafetyFilter:
