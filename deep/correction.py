@@ -21,11 +21,13 @@ proposes or the environment shows (the rules: :mod:`deep.safety_filter`).
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import NDArray
@@ -148,7 +150,21 @@ class BehaviorCorrectionVector(VectorWrapper[NDArray[Any], NDArray[Any], NDArray
         super().__init__(env)
         self.safety = _fitted(safety, env.single_observation_space, env.single_action_space)
         self.watch = Watch()
+        self._text = safety.to_text()
         self._observations: NDArray[Any] | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:  # type: ignore[override]  # as in Gymnasium's VectorWrapper
+        """With it ``gymnasium.make_vec`` makes copies that each have a BehaviorCorrection.
+
+        None where another wrapper lies in between: no specification says where.
+        """
+        spec = self.env.spec
+        if spec is None or isinstance(self.env, VectorWrapper) or spec.kwargs.get("wrappers"):
+            return None
+        spec = deepcopy(spec)
+        spec.additional_wrappers += (BehaviorCorrection.wrapper_spec(safety=self._text),)
+        return spec
 
     @property
     def steps(self) -> int:

@@ -19,6 +19,7 @@ import onnxruntime
 import pytest
 from gymnasium import spaces
 from gymnasium.vector import SyncVectorEnv
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from numpy.typing import NDArray
 
 from deep.correction import BehaviorCorrection, BehaviorCorrectionVector
@@ -354,6 +355,29 @@ def test_the_wrapper_is_made_again_from_its_spec() -> None:
             mine, its = (env.step(np.array([action])) for env in (protected, again))
             assert np.array_equal(mine[0], its[0])
             assert mine[4]["critic"] == its[4]["critic"]
+
+
+def test_what_a_vector_wrappers_spec_makes_is_protected_too() -> None:
+    """Gymnasium's specifications know no vector wrappers: the filter would be lost."""
+    bare = gymnasium.make_vec("deep/Brake-v0", 3, vectorization_mode="sync")
+    protected = BehaviorCorrectionVector(bare, brake_filter())
+    assert protected.spec is not None
+    assert bare.spec is not None
+    assert not bare.spec.additional_wrappers
+    again = gymnasium.make_vec(protected.spec)
+    actions = np.array([[1.0], [-0.5], [0.3]], dtype=np.float32)
+    for env in (protected, again):
+        env.reset(seed=3)
+    ended = np.zeros(3, dtype=np.bool_)
+    for _ in range(3):
+        mine, its = (env.step(actions) for env in (protected, again))
+        assert np.array_equal(mine[0], its[0])
+        if not ended.any():  # a copy that begins anew executes nothing
+            assert np.array_equal(mine[4]["executed_action"], its[4]["executed_action"])
+            assert mine[4]["intervened"].tolist() == [True, False, True]
+        ended = mine[2]
+    between = RecordEpisodeStatistics(gymnasium.make_vec("deep/Brake-v0", 3))
+    assert BehaviorCorrectionVector(between, brake_filter()).spec is None
 
 
 def test_a_filter_is_the_same_as_text_and_a_broken_one_is_refused() -> None:
