@@ -334,10 +334,12 @@ class SafetyFilter:
 
     def _judged(self, seen: Floats, proposed: Floats) -> Floats:
         """Q_c for finite observations and actions."""
-        x = np.concatenate([self.normalisation.powered(seen), proposed], axis=1)
-        logits = forward(self._raw_critic, x)[:, :, 0]
+        powered = self.normalisation.powered(seen)
+        logits = forward(self._raw_critic, np.concatenate([powered, proposed], axis=1))[:, :, 0]
         critic = _sigmoid(logits.max(axis=0))
         critic[~np.isfinite(logits).all(axis=0)] = 1  # minus infinity is no proof of safety
+        if powered is not seen:
+            critic[~_finite(powered)] = 1
         return critic
 
     def recovery_action(self, observations: NDArray[Any]) -> Floats:

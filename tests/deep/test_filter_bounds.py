@@ -517,6 +517,24 @@ def test_a_network_that_overflows_to_nothing_does_not_call_it_safe(
         assert (critic_value[0], intervened[0]) == (1, True)
 
 
+def test_an_observation_whose_power_overflows_is_not_judged(tmp_path: Path) -> None:
+    """A hidden unit would make 0 of minus infinity, and the critic a number of that."""
+    units = Normalisation((0.0,), (1.0,), (0.0,), (1.0,), (24.0,))
+    one = np.ones((1, 1, 1), dtype=np.float32)
+    hidden = (np.array([[[-1.0], [0.0]]], dtype=np.float32), 0 * one)
+    safety = replace(
+        linear_filter([0.0], 0.0, 0.0, 0.3, normalisation=units), critic=(hidden, (one, -5 * one))
+    )
+    shown, action = np.array([[0.5], [1e10]], dtype=np.float32), np.zeros((2, 1), np.float32)
+    found = safety.correct(shown, action)
+    assert found.intervened.tolist() == [False, True]
+    assert found.critic[1] == safety.q(shown, action)[1] == 1
+    export_onnx(safety, tmp_path / "filter.onnx")
+    session = onnxruntime.InferenceSession(str(tmp_path / "filter.onnx"))
+    _, intervened, _ = session.run(None, {"observation": shown, "action": action})
+    assert intervened.tolist() == [False, True]
+
+
 def test_numbers_that_single_precision_cannot_hold_are_refused() -> None:
     with pytest.raises(
         ValueError, match=r"bounds must be finite, not \(-1e\+300\) to \(1e\+300\), in single"
