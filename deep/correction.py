@@ -246,7 +246,7 @@ def action_bounds(space: Any) -> Bounds:
     if not space.is_bounded():
         raise ValueError(
             f"the environment's actions are not bounded ({space}); a filter needs finite bounds: "
-            "clip or rescale them in a wrapper"
+            "rescale them in a wrapper, and put ClipAction around the filter, not within it"
         )
     return Bounds.of(space.low, space.high)
 

@@ -153,6 +153,8 @@ def networks_from_bytes(
         arrays = load(content)
     except SafetensorError as error:
         raise ValueError(f"not a safetensors file ({error})") from error
+    except KeyError as error:  # a type that numpy has not
+        raise ValueError(f"arrays of type {error}, expected F32") from error
     rest = _header(content)
     if rest.get("format") != form:
         raise ValueError(f"not a {form!r} file{_older(rest.get('format'), form)}")
@@ -168,7 +170,7 @@ def _header(content: bytes) -> dict[str, Any]:
     metadata = json.loads(content[8 : 8 + length]).get("__metadata__") or {}
     try:
         rest = json.loads(metadata.get("networks", "{}"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"the header is damaged ({error})") from error
     return rest if isinstance(rest, dict) else {}
 

@@ -19,6 +19,7 @@ import onnxruntime
 import pytest
 from gymnasium import spaces
 from gymnasium.vector import SyncVectorEnv
+from gymnasium.wrappers import ClipAction
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from numpy.typing import NDArray
 
@@ -112,6 +113,11 @@ def test_spaces_that_are_not_for_a_filter_are_refused_by_name() -> None:
         BehaviorCorrection(gymnasium.make("CartPole-v1"), lift_filter())
     with pytest.raises(ValueError, match="^the environment's actions are not bounded .*finite"):
         BehaviorCorrection(Room(box(-np.inf, np.inf)), lift_filter())
+    with pytest.raises(ValueError, match="put ClipAction around the filter"):
+        BehaviorCorrection(ClipAction(Room()), lift_filter())
+    clipped = ClipAction(BehaviorCorrection(Room(), lift_filter()))
+    clipped.reset()
+    assert clipped.step(np.array([99.0]))[-1]["executed_action"] == 3
     with pytest.raises(ValueError, match="^the environment's actions must be vectors"):
         BehaviorCorrection(Room(spaces.Box(-3.0, 3.0, (1, 1))), lift_filter())
     with pytest.raises(ValueError, match="^the environment's actions must be real numbers"):
