@@ -33,16 +33,16 @@ import torch
 
 from benchmarks.measure import RESULTS, facts
 from dead_ends.io.atomic import atomic_path
-from deep.config import PretrainConfig
-from deep.formats import write_hdf5
-from deep.online.episodes import run_episodes
-from deep.online.offline_data import offline_data
+from deep.data.formats import write_hdf5
+from deep.filter.safety_filter import SafetyFilter
+from deep.filter.task_policy import TrainedPolicy
 from deep.pretrain import AnySettings, DeaRrlAnnealedSettings, DeaRrlSettings
-from deep.run import pretrain
-from deep.safety_filter import SafetyFilter
-from deep.task_policy import TrainedPolicy
+from deep.pretrain.config import PretrainConfig
+from deep.pretrain.run import pretrain
 from deep.tasks import PointGoal1
 from deep.tasks.task import Bools, Floats
+from deep.train.episodes import run_episodes
+from deep.train.offline_data import offline_data
 
 TASK = "point-goal1"
 SEED = 100

@@ -22,10 +22,10 @@ import torch
 
 from benchmarks.measure import save
 from benchmarks.sb3 import filled_sac
-from deep.online.replay import Arrival, Replay
-from deep.online.sac import Sac, SacSettings
-from deep.online.scaling import Scaling
-from deep.pretrain.learner import Sizes
+from deep.data.scaling import Scaling
+from deep.tasks.task import Sizes
+from deep.train.replay import Arrival, Replay
+from deep.train.sac import Sac, SacSettings
 
 SIZES = Sizes(observation=60, action=2)
 CASES = ((64, 64), (64, 256), (128, 256), (256, 256))

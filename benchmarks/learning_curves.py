@@ -29,17 +29,20 @@ from stable_baselines3 import SAC
 
 from benchmarks.measure import RESULTS, save
 from benchmarks.sb3 import stable_baselines3_sac
-from deep.online.config import TrainConfig
-from deep.online.episodes import run_episodes
-from deep.online.fleet import GYM, evaluation_copies
-from deep.online.results import EPISODES_KEPT_APART
-from deep.online.sac import SacSettings
-from deep.online.train import train
+from deep.tasks.gym import Rules
+from deep.tasks.vectorised import GYM, evaluation_copies
+from deep.train.config import TrainConfig
+from deep.train.episodes import run_episodes
+from deep.train.result import EPISODES_KEPT_APART
+from deep.train.run import train
+from deep.train.sac import SacSettings
 
 SETTINGS = SacSettings(final_rate=1, reward_scale=1)
 SEEDS = tuple(range(8))
 EPISODES = 8
 RESAMPLES = 10_000
+NO_COSTS = Rules(termination_is_violation=True)
+"""These environments report no costs, and end by the clock alone."""
 TOOLS = {"ours": ("dead-ends", "#0072b2", "o"), "theirs": ("Stable-Baselines3", "#d55e00", "s")}
 
 Curves = NDArray[np.float64]
@@ -93,6 +96,7 @@ def our_curves(course: Course, settings: SacSettings, seeds: Sequence[int], fold
         episodes=1,
         log_every=course.steps,
         checkpoint_every=course.steps,
+        rules=NO_COSTS,
     )
     train(config, folder, quiet=True)
     with (folder / "evaluations.csv").open() as file:
@@ -126,11 +130,11 @@ def _their_return(course: Course, model: SAC, seed: int) -> float:
 
     def act(observations: NDArray[np.float32]) -> NDArray[np.float32]:
         actions, _ = model.predict(observations, deterministic=True)
-        return model.policy.scale_action(actions)
+        return np.asarray(actions, dtype=np.float32)
 
     task = GYM + course.environment
     episodes = run_episodes(
-        task, act, None, EPISODES, seed + EPISODES_KEPT_APART, evaluation_copies(task)
+        task, act, None, EPISODES, seed + EPISODES_KEPT_APART, evaluation_copies(task), NO_COSTS
     )
     return episodes.acr
 

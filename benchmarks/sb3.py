@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from stable_baselines3 import SAC
 from stable_baselines3.common.logger import Logger
 
-from deep.online.sac import SacSettings
+from deep.train.sac import SacSettings
 
 __all__ = ["Idle", "filled_sac", "stable_baselines3_sac"]
 

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from benchmarks.labels import agree
 from benchmarks.measure import best_time, extra_memory, save
 from dead_ends import INFINITE, SafeMDP, classify
-from dead_ends.implicit import SURVIVES, _entered, _start, _sweep, classify_implicit
-from dead_ends.retrograde import compiled
+from dead_ends.labels.implicit import SURVIVES, _entered, _start, _sweep, classify_implicit
+from dead_ends.labels.retrograde import compiled
 
 FREE, WALL, LAVA, FORCED = 0, 1, 2, 3
 """What a cell of the map is; FORCED + m: every move is move m (up, down, left, right)."""

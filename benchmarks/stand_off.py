@@ -23,8 +23,8 @@ import numpy as np
 
 from benchmarks.measure import RESULTS, facts
 from dead_ends.io.atomic import atomic_path
-from deep.safety_filter import SafetyFilter
-from deep.task_policy import TrainedPolicy
+from deep.filter.safety_filter import SafetyFilter
+from deep.filter.task_policy import TrainedPolicy
 from deep.tasks import PointGoal1
 
 TASK = "point-goal1"

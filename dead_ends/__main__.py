@@ -17,7 +17,7 @@ from typing import NoReturn
 from dead_ends import __version__
 from dead_ends.cli import COMMANDS
 from dead_ends.io.errors import MissingDependencyError
-from dead_ends.precision import UndecidedError
+from dead_ends.values.precision import UndecidedError
 
 USAGE_ERROR, INTERRUPTED, BROKEN_PIPE = 2, 130, 141
 

@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from typing import NoReturn, Protocol
 
 from deep.cli import COMMANDS
-from deep.grid import JobsFailedError
+from deep.study.schedule import JobsFailedError
 
 __all__ = ["main", "parse"]
 
@@ -53,7 +53,7 @@ def parse(arguments: Sequence[str]) -> Command:
     name: str = make_parser().parse_args(arguments[:1]).command
     import tyro
 
-    from deep.folder import refuse_empty_names
+    from deep.runs.folder import refuse_empty_names
 
     refuse_empty_names(arguments)
     module = import_module(f"deep.cli.{name.replace('-', '_')}")

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-from proofs_check import report
-from proofs_check.report import Means
-from proofs_check.rows import Row, Tally
+from proofs_check.machinery import report_card as report
+from proofs_check.machinery.report_card import Means
+from proofs_check.machinery.statement import Row, Tally
 
 settings.register_profile("dev", max_examples=50, deadline=None)
 settings.register_profile("ci", max_examples=100, deadline=None, derandomize=True)

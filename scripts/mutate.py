@@ -1,6 +1,6 @@
 """Would the tests notice? Changes one place of a module at a time and runs the module's tests.
 
-    python scripts/mutate.py dead_ends/critic.py --sample 50
+    python scripts/mutate.py dead_ends/values/critic.py --sample 50
     python scripts/mutate.py --changed main
 
 A mutant is the module with one small mistake in it: a comparison or an operator exchanged, a
@@ -57,7 +57,7 @@ class Mutant:
     """A module with one change.
 
     Attributes:
-        module: the path below the root, such as ``dead_ends/critic.py``.
+        module: the path below the root, such as ``dead_ends/values/critic.py``.
         function: where the change is; "" outside functions.
         before, after: the line, or the statement, that is changed.
         nth: counts equal changes of equal lines in one function, from 0.
@@ -476,7 +476,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("modules", nargs="*", help="such as dead_ends/critic.py")
+    parser.add_argument("modules", nargs="*", help="such as dead_ends/values/critic.py")
     parser.add_argument("--changed", metavar="BASE", help="the modules changed since a revision")
     parser.add_argument(
         "--sample",

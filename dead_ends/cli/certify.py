@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from dead_ends.certificate import certify, save_certificate
+    from dead_ends.certificates.certificate import certify, save_certificate
 
     check_output(arguments.out, arguments.file)
     certificate = certify(read_source(arguments))

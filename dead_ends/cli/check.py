@@ -1,7 +1,7 @@
 """``check CERTIFICATE FILE``: do the witnesses prove the labels of this model?
 
-The verdict is that of :mod:`dead_ends.checker`, which shares no code with the solver. Exit
-status 1 if the certificate is refused.
+The verdict is that of :mod:`dead_ends.certificates.checker`, which shares no code with the
+solver. Exit status 1 if the certificate is refused.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from dead_ends.certificate import load_certificate
-    from dead_ends.checker import CertificateError, check_certificate
-    from dead_ends.results import Label
+    from dead_ends.certificates.certificate import load_certificate
+    from dead_ends.certificates.checker import CertificateError, check_certificate
+    from dead_ends.labels.labelling import Label
 
     certificate = load_certificate(arguments.certificate)
     model = read_source(arguments)

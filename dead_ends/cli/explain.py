@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     model = read_source(arguments)
 
-    from dead_ends.explanation import explain
+    from dead_ends.safety.explanation import explain
 
     explanation = explain(model, arguments.state, exact=bool(arguments.exact))
     if arguments.json:

@@ -1,7 +1,7 @@
 """``export FILE --out PATH``: the safety filter as a table for a runtime.
 
 The file says which actions pass and what is executed instead; see
-:mod:`dead_ends.io.filter_table`. Without ``--epsilon-safe`` exactly the actions pass that keep
+:mod:`dead_ends.safety.filter_table`. Without ``--epsilon-safe`` exactly the actions pass that keep
 a safe state safe; with it those with Q*(s, a) < epsilon_safe. The recovery policy takes an
 action that keeps the state safe where there is one, and is greedy on Q* elsewhere.
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from dead_ends.model import SafeMDP
+    from dead_ends.model.safe_mdp import SafeMDP
 
 SUMMARY = "write the allowed actions and the recovery policy for a runtime"
 
@@ -47,10 +47,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from dead_ends.bellman import value_iteration
-    from dead_ends.checker import model_digest
-    from dead_ends.correction import safety_filter
-    from dead_ends.io.filter_table import save_filter
+    from dead_ends.model.digest import model_digest
+    from dead_ends.safety.correction import safety_filter
+    from dead_ends.safety.filter_table import save_filter
+    from dead_ends.values.bellman import value_iteration
 
     check_output(arguments.out, arguments.file)
     model = read_source(arguments)

@@ -15,11 +15,11 @@ from dead_ends.cli.source import (
     print_rows,
     read_source,
 )
-from dead_ends.precision import UndecidedError
+from dead_ends.values.precision import UndecidedError
 
 if TYPE_CHECKING:
-    from dead_ends.model import SafeMDP
-    from dead_ends.results import Labelling
+    from dead_ends.labels.labelling import Labelling
+    from dead_ends.model.safe_mdp import SafeMDP
 
 ESTIMATE = "an estimate from a log: its labels are no guarantee about the task"
 SUMMARY = "label every state: fail, dead, safe or at risk"
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from dead_ends.labels import classify
+    from dead_ends.labels.classification import classify
 
     check_output(arguments.out, arguments.file)
     model = read_source(arguments)
@@ -61,7 +61,7 @@ def summarize(
     model: SafeMDP, labelling: Labelling, gamma_safe: Any, exact: bool | None
 ) -> dict[str, Any]:
     """The numbers of a labelled model, ready for JSON."""
-    from dead_ends.results import Label
+    from dead_ends.labels.labelling import Label
 
     return {
         "kind": "deterministic" if model.is_deterministic else "stochastic",
@@ -83,7 +83,7 @@ def summarize(
 
 def _threshold(model: SafeMDP, gamma_safe: Any, exact: bool | None) -> dict[str, Any]:
     """The thresholds; labels are certain even where floats do not tell these."""
-    from dead_ends.thresholds import threshold_interval
+    from dead_ends.safety.thresholds import threshold_interval
 
     try:
         interval = threshold_interval(model, gamma_safe, exact=exact)

@@ -29,8 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    from dead_ends.draw.page import report_page
     from dead_ends.io.atomic import atomic_path
-    from dead_ends.report import report_page
 
     check_output(arguments.out, arguments.file, *(arguments.policy or ()))
     if Path(arguments.out).suffix.lower() not in (".html", ".htm"):

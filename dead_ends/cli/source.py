@@ -11,7 +11,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dead_ends.model import SafeMDP
+    from dead_ends.model.safe_mdp import SafeMDP
 
 MAX_LISTED_STATES = 10_000_000
 MAX_DIGITS = 20

@@ -16,7 +16,7 @@ from dead_ends.cli.source import (
 )
 
 if TYPE_CHECKING:
-    from dead_ends.statements import Verification
+    from dead_ends.paper import Verification
 
 SUMMARY = "check the paper's statements on a model"
 VERDICTS = {True: "holds", False: "FAILS", None: "open"}
@@ -43,8 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     model = read_source(arguments)
 
-    from dead_ends.discount import read_discount
-    from dead_ends.statements import verify_report
+    from dead_ends.paper import verify_report
+    from dead_ends.values.discount import read_discount
 
     policy = None if arguments.policy is None else _read_policy(arguments.policy)
     gamma, _ = read_discount(arguments.gamma_safe, arguments.exact)
@@ -68,7 +68,7 @@ def _read_policy(path: str) -> Any:
 
 
 def _rows(found: Verification, policy: str | None) -> list[tuple[str, Any]]:
-    from dead_ends.discount import scientific
+    from dead_ends.values.discount import scientific
 
     labelling, interval = found.labelling, found.interval
     return [

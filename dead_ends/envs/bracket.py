@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from dead_ends.model import Geometry, SafeMDP
+from dead_ends.model.safe_mdp import Geometry, SafeMDP
 
 __all__ = ["Bracket", "Grid", "bracket"]
 

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dead_ends.model import Geometry, SafeMDP
+from dead_ends.model.safe_mdp import Geometry, SafeMDP
 
 __all__ = [
     "BrakeLattice",

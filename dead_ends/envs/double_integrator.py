@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dead_ends.envs.bracket import Bracket, Grid, bracket
-from dead_ends.model import Geometry
+from dead_ends.model.safe_mdp import Geometry
 
 __all__ = ["double_integrator"]
 

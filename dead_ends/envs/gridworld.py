@@ -23,8 +23,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from dead_ends.envs.rows import Row, probability, safe_mdp_from_rows
-from dead_ends.model import Geometry, SafeMDP
+from dead_ends.envs.transition_rows import Row, probability, safe_mdp_from_rows
+from dead_ends.model.safe_mdp import Geometry, SafeMDP
 
 __all__ = ["ACTIONS", "CURRENTS", "DEFAULT_MAP", "gridworld", "parse_map"]
 

@@ -18,7 +18,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from dead_ends.model import Geometry, SafeMDP, require_type
+from dead_ends.model.safe_mdp import Geometry, SafeMDP, require_type
 
 __all__ = ["SafeMDPEnv"]
 

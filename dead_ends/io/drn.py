@@ -56,7 +56,7 @@ from dead_ends.io.explicit import (
     unreadable_kind,
 )
 from dead_ends.io.tokens import Tokens
-from dead_ends.model import SafeMDP
+from dead_ends.model.safe_mdp import SafeMDP
 
 __all__ = ["load_drn", "read_drn", "save_drn"]
 

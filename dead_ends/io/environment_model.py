@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from dead_ends.model import SafeMDP
+from dead_ends.model.safe_mdp import SafeMDP
 
 __all__ = ["Ended", "EnvironmentModel", "canonical_key", "key_text", "model_of_environment"]
 

@@ -25,8 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 from dead_ends.io.condition import NAMES, evaluate_condition, names_in
 from dead_ends.io.errors import warn_no_failure
 from dead_ends.io.transitions import Condition, Transitions, build_model, state_mask
-from dead_ends.model import SafeMDP
-from dead_ends.model_input import ROW_SUM_TOLERANCE, mendable, not_one
+from dead_ends.model.checks import ROW_SUM_TOLERANCE, mendable, not_one
+from dead_ends.model.safe_mdp import SafeMDP
 
 if TYPE_CHECKING:
     from dead_ends.io.tokens import Tokens

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from dead_ends.io.compressed import plain_path
 from dead_ends.io.transitions import Condition
-from dead_ends.model import SafeMDP, require_type
+from dead_ends.model.safe_mdp import SafeMDP, require_type
 
 if TYPE_CHECKING:
     from dead_ends.io.explicit import Failure

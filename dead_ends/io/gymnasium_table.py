@@ -23,13 +23,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dead_ends.checker import model_digest
 from dead_ends.io.environment_model import model_of_environment
 from dead_ends.io.errors import located, optional_module
 from dead_ends.io.table_trial import check_steps
 from dead_ends.io.transitions import Condition, Transitions, build_model, state_mask
 from dead_ends.io.trial import discrete_range, numerals
-from dead_ends.model import Geometry, SafeMDP
+from dead_ends.model.digest import model_digest
+from dead_ends.model.safe_mdp import Geometry, SafeMDP
 
 __all__ = [
     "environment_name",

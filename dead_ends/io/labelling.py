@@ -5,17 +5,19 @@ from __future__ import annotations
 import csv
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dead_ends.io.atomic import atomic_path
-from dead_ends.model import SafeMDP, require_type
-from dead_ends.results import INFINITE, Label, Labelling
+from dead_ends.labels.labelling import INFINITE, Label, Labelling
+from dead_ends.model.safe_mdp import SafeMDP, require_type
 
-__all__ = ["save_labelling"]
+__all__ = ["save_labelling", "survival_time_file"]
 
 Summary = Mapping[str, Any]
 _Writer = Callable[[Path, SafeMDP, Labelling, Summary], None]
@@ -44,6 +46,27 @@ def save_labelling(
         raise ValueError(f"{path}: labels are written as {', '.join(_WRITERS)}")
     with atomic_path(path) as temporary:
         writer(temporary, model, labelling, summary)
+
+
+@contextmanager
+def survival_time_file(
+    path: str | os.PathLike[str], num_states: int
+) -> Iterator[NDArray[np.uint16]]:
+    """Room for the survival times of a model too large for the memory: a ``.npy`` file.
+
+    They are worked out in a file beside ``path`` that becomes ``path`` when all is done; an
+    interrupt or an error leaves no file behind:
+
+        with survival_time_file("times.npy", states) as times:
+            classify_implicit(successor, fail, states, actions, times=times)
+
+    Raises:
+        ValueError: if the folder does not exist.
+    """
+    with atomic_path(path) as temporary:
+        times = np.lib.format.open_memmap(temporary, "w+", dtype=np.uint16, shape=(num_states,))
+        yield times
+        times.flush()
 
 
 def _write_npz(path: Path, _: SafeMDP, labelling: Labelling, summary: Summary) -> None:

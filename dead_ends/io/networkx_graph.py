@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dead_ends.io.transitions import Condition, Transitions, build_model
-from dead_ends.model import SafeMDP, require_type
+from dead_ends.model.safe_mdp import SafeMDP, require_type
 
 __all__ = ["from_networkx", "to_networkx"]
 

@@ -34,9 +34,9 @@ from numpy.typing import NDArray
 
 from dead_ends.io.atomic import atomic_path
 from dead_ends.io.errors import located
-from dead_ends.memory import require_memory
-from dead_ends.model import Geometry, SafeMDP
-from dead_ends.model_input import MAX_BITS, ExactEntries, read_fraction
+from dead_ends.model.checks import MAX_BITS, ExactEntries, read_fraction
+from dead_ends.model.memory import require_memory
+from dead_ends.model.safe_mdp import Geometry, SafeMDP
 
 __all__ = ["load_npz", "read_arrays", "save_npz"]
 

@@ -50,8 +50,8 @@ from dead_ends.io.explicit import (
     unreadable_kind,
 )
 from dead_ends.io.tokens import Tokens
-from dead_ends.memory import require_memory
-from dead_ends.model import SafeMDP
+from dead_ends.model.memory import require_memory
+from dead_ends.model.safe_mdp import SafeMDP
 
 __all__ = ["load_prism", "save_prism"]
 

@@ -30,7 +30,7 @@ from dead_ends.io.explicit import (
     explicit_model,
     unreadable_kind,
 )
-from dead_ends.model import SafeMDP
+from dead_ends.model.safe_mdp import SafeMDP
 
 __all__ = ["load_with_storm"]
 

@@ -25,7 +25,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from dead_ends.io.compressed import read_bytes
-from dead_ends.model_input import read_fraction
+from dead_ends.model.checks import read_fraction
 
 __all__ = ["Tokens"]
 

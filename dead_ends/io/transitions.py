@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from dead_ends.io.condition import evaluate_condition
 from dead_ends.io.errors import warn_no_failure
-from dead_ends.model import Geometry, SafeMDP
-from dead_ends.model_input import ExactEntries, mend_rows, plain_array
+from dead_ends.model.checks import ExactEntries, mend_rows, plain_array
+from dead_ends.model.safe_mdp import Geometry, SafeMDP
 
 __all__ = ["Condition", "Transitions", "build_model", "state_mask", "violations"]
 

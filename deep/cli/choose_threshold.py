@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from deep.folder import new_file
-from deep.online.choose import choose_threshold, write_choice
+from deep.runs.folder import new_file
+from deep.study.threshold_choice import choose_threshold, write_choice
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,14 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from deep.config import Mix
-from deep.data import Transitions, summarise
-from deep.folder import new_file
-from deep.formats import write_hdf5
-from deep.online.fleet import GYM, REAL, check_rules
-from deep.online.offline_data import collect_in_environments
+from deep.data.formats import write_hdf5
+from deep.data.transitions import Transitions, summarise
+from deep.pretrain.config import Mix
+from deep.runs.folder import new_file
 from deep.tasks import make_task
 from deep.tasks.gym import NO_RULES, Rules
+from deep.tasks.vectorised import GYM, REAL, check_rules
+from deep.train.offline_data import collect_in_environments
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import tyro
 
-from deep.compare import CompareConfig, compare, summary_table
-from deep.folder import only_process
+from deep.runs.folder import only_process
+from deep.score.compare import CompareConfig, compare, summary_table
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import tyro
 
-from deep.demo import DemoConfig, demo
-from deep.folder import only_process
+from deep.runs.folder import only_process
+from deep.score.demo import DemoConfig, demo
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from typing import Annotated
 import tyro
 
 from deep.cli.seeds import seed_lines
-from deep.folder import only_process
-from deep.online.choose import read_threshold
-from deep.online.plug import evaluate_policies
+from deep.runs.folder import only_process
+from deep.study.threshold_choice import read_threshold
 from deep.tasks.gym import NO_RULES, Rules
+from deep.train.evaluation import evaluate_policies
 
 
 @dataclass(frozen=True)

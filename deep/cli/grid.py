@@ -9,10 +9,10 @@ from typing import Annotated
 import tyro
 
 from dead_ends.io.atomic import atomic_path
-from deep.folder import only_process, read_object
-from deep.grid import JobsFailedError, failure_table, run_jobs
-from deep.job_backends import BackendName
-from deep.study import StudyConfig, study_jobs
+from deep.runs.folder import only_process, read_object
+from deep.study.job_backends import BackendName
+from deep.study.jobs import StudyConfig, study_jobs
+from deep.study.schedule import JobsFailedError, failure_table, run_jobs
 from deep.tasks.gym import NO_RULES
 
 __all__ = ["Grid", "remember"]

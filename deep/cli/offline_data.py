@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from deep.data import summarise
-from deep.folder import new_file
-from deep.formats import write_hdf5
-from deep.online.offline_data import offline_data, training_run
+from deep.data.formats import write_hdf5
+from deep.data.transitions import summarise
+from deep.runs.folder import new_file
+from deep.train.offline_data import offline_data, training_run
 
 
 @dataclass(frozen=True)

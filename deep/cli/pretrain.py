@@ -9,8 +9,8 @@ from typing import Annotated
 
 import tyro
 
-from deep.config import PretrainConfig
-from deep.run import pretrain
+from deep.pretrain.config import PretrainConfig
+from deep.pretrain.run import pretrain
 
 
 @dataclass(frozen=True)

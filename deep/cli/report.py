@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from deep.report import report
+from deep.study.report import report
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import tyro
 
-from deep.folder import only_process
-from deep.sweep import SweepConfig, sweep
+from deep.runs.folder import only_process
+from deep.score.sweep import SweepConfig, sweep
 
 
 @dataclass(frozen=True)

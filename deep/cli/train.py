@@ -9,10 +9,10 @@ from typing import Annotated
 import tyro
 
 from deep.cli.seeds import seed_lines
-from deep.online.choose import read_threshold
-from deep.online.config import TrainConfig
-from deep.online.train import train
-from deep.online.wcsac import WcsacSettings
+from deep.study.threshold_choice import read_threshold
+from deep.train.config import TrainConfig
+from deep.train.run import train
+from deep.train.wcsac import WcsacSettings
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from deep.cli.seeds import seed_lines
-from deep.online.offline import OfflineConfig, train_offline
+from deep.train.offline import OfflineConfig, train_offline
 
 
 @dataclass(frozen=True)

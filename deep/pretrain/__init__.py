@@ -8,9 +8,10 @@ from typing import TypeAlias
 from deep.pretrain.dea_rrl import DeaRrl, DeaRrlSettings
 from deep.pretrain.dea_rrl_annealed import DeaRrlAnnealed, DeaRrlAnnealedSettings
 from deep.pretrain.dearrl_iql import DearrlIql, DearrlIqlSettings
-from deep.pretrain.learner import Learner, Losses, Settings, Sizes
+from deep.pretrain.learner import Learner, Losses, Settings
 from deep.pretrain.rrl import Rrl, RrlSettings, TaskPolicy, uniform_task_policy
 from deep.pretrain.rrl_msdp import RrlMsdp, RrlMsdpSettings
+from deep.tasks.task import Sizes
 
 __all__ = [
     "SETTINGS",

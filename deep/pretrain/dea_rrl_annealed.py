@@ -23,10 +23,11 @@ from typing import ClassVar
 
 import torch
 
-from deep.batches import Batch
-from deep.losses import advantage_policy_gradient, cross_entropy_q_loss, q_target, v_loss
-from deep.networks import Critic, GaussianPolicy, StateValue, copy_slowly
-from deep.pretrain.learner import Learner, Losses, Settings, Sizes, adam, minimise
+from deep.data.minibatches import Batch
+from deep.nn.losses import advantage_policy_gradient, cross_entropy_q_loss, q_target, v_loss
+from deep.nn.networks import Critic, GaussianPolicy, StateValue, adam, copy_slowly, minimise
+from deep.pretrain.learner import Learner, Losses, Settings
+from deep.tasks.task import Sizes
 
 __all__ = ["DeaRrlAnnealed", "DeaRrlAnnealedSettings"]
 
@@ -39,7 +40,7 @@ class DeaRrlAnnealedSettings(Settings):
         first_expectile, final_expectile: the schedule's ends, both in (0, 1).
         anneal: the part of training after which the final expectile is reached.
         final_rate: the learning rate's last value over its first.
-        reach: of the recovery policy, see :class:`deep.networks.GaussianPolicy`.
+        reach: of the recovery policy, see :class:`deep.nn.networks.GaussianPolicy`.
     """
 
     learning_rate: float = 1e-3

@@ -14,10 +14,11 @@ from typing import ClassVar
 
 import torch
 
-from deep.batches import Batch
-from deep.losses import advantage_weighted_regression, q_loss, q_target, v_loss
-from deep.networks import Critic, GaussianPolicy, StateValue, copy_slowly
-from deep.pretrain.learner import Learner, Losses, Settings, Sizes, adam, minimise
+from deep.data.minibatches import Batch
+from deep.nn.losses import advantage_weighted_regression, q_loss, q_target, v_loss
+from deep.nn.networks import Critic, GaussianPolicy, StateValue, adam, copy_slowly, minimise
+from deep.pretrain.learner import Learner, Losses, Settings
+from deep.tasks.task import Sizes
 
 __all__ = ["DearrlIql", "DearrlIqlSettings"]
 

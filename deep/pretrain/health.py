@@ -24,10 +24,11 @@ import torch
 from numpy.typing import NDArray
 
 from dead_ends.io.atomic import atomic_path
-from deep.data import Transitions
-from deep.folder import from_plain, read_object
+from deep.data.transitions import Transitions
+from deep.filter.safety_filter import UNSEEN, SafetyFilter
 from deep.pretrain.learner import Learner, Losses
-from deep.safety_filter import UNSEEN, Bounds, SafetyFilter
+from deep.runs.folder import from_plain, read_object
+from deep.tasks.bounds import Bounds
 
 __all__ = ["Fault", "FilterHealth", "check_filter", "check_losses", "read_health", "write_health"]
 

@@ -10,10 +10,10 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from deep.batches import Batch
-from deep.networks import Critic, GaussianPolicy
+from deep.data.minibatches import Batch
+from deep.nn.networks import Critic, GaussianPolicy
 
-__all__ = ["Learner", "Losses", "Settings", "Sizes", "adam", "minimise"]
+__all__ = ["Learner", "Losses", "Settings"]
 
 
 @dataclass(frozen=True)
@@ -57,13 +57,6 @@ def _within(name: str, value: float, low: float, high: float) -> None:
         raise ValueError(f"{name} must lie in [{low}, {high}], not {value}")
 
 
-class Sizes(NamedTuple):
-    """Dimensions of observations and actions."""
-
-    observation: int
-    action: int
-
-
 class Losses(NamedTuple):
     """Each (K,), one number a seed; ``value`` is 0 for forms without a V network."""
 
@@ -100,18 +93,3 @@ class Learner(nn.Module, ABC):
     @abstractmethod
     def optimizers(self) -> tuple[torch.optim.Optimizer, ...]:
         """All optimizers, in a fixed order: their states belong to a checkpoint."""
-
-
-def adam(module: nn.Module, learning_rate: float) -> torch.optim.Adam:
-    """Adam, one fused kernel for all parameters."""
-    return torch.optim.Adam(module.parameters(), lr=learning_rate, fused=True)
-
-
-def minimise(optimizer: torch.optim.Optimizer, loss: Tensor) -> Tensor:
-    """One step down the sum of the seeds' losses (K,), which it returns detached."""
-    parameters = [p for group in optimizer.param_groups for p in group["params"]]
-    optimizer.zero_grad(set_to_none=True)
-    # Only these: a recovery loss runs through the critic, whose gradients nobody needs.
-    torch.autograd.backward(loss.sum(), inputs=parameters)
-    optimizer.step()
-    return loss.detach()

@@ -15,10 +15,11 @@ from typing import ClassVar, TypeAlias
 import torch
 from torch import Tensor
 
-from deep.batches import Batch
-from deep.losses import q_target, recovery_objective, safety_critic_loss
-from deep.networks import Critic, GaussianPolicy, copy_slowly
-from deep.pretrain.learner import Learner, Losses, Settings, Sizes, adam, minimise
+from deep.data.minibatches import Batch
+from deep.nn.losses import q_target, recovery_objective, safety_critic_loss
+from deep.nn.networks import Critic, GaussianPolicy, adam, copy_slowly, minimise
+from deep.pretrain.learner import Learner, Losses, Settings
+from deep.tasks.task import Sizes
 
 __all__ = ["Rrl", "RrlSettings", "TaskPolicy", "uniform_task_policy"]
 

@@ -3,9 +3,9 @@
 Actions are in the environment's own units, here and in the files made from it; what lies outside
 its bounds is moved to the nearest one. What a violation is says
 ``info["cost"]``, which every step must report: 1 at one, else 0, or a number of which a rule
-says what it means (see :mod:`deep.violation`). As everywhere here a violation ends the episode,
-whether or not the environment itself would go on. An environment that knows no cost, or no time
-limit, is refused before its first episode, unless :class:`Rules` say what is missing.
+says what it means (see :mod:`deep.tasks.violation`). As everywhere here a violation ends the
+episode, whether or not the environment itself would go on. An environment that knows no cost,
+or no time limit, is refused before its first episode, unless :class:`Rules` say what is missing.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from gymnasium.wrappers import TimeLimit
 from numpy.typing import NDArray
 
 from deep.tasks.task import Bools, Floats, Observations
-from deep.violation import check_rule, violations
+from deep.tasks.violation import check_rule, violations
 
 __all__ = ["NO_RULES", "GymVectorEnv", "Rules", "rules_from_json"]
 

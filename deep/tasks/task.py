@@ -160,3 +160,10 @@ class Task(ABC):
 def clip_action(action: NDArray[np.floating]) -> Floats:
     """``action`` as float64, within [-1, 1]."""
     return np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
+
+
+class Sizes(NamedTuple):
+    """Dimensions of observations and actions."""
+
+    observation: int
+    action: int

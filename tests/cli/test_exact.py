@@ -10,11 +10,11 @@ import pytest
 
 from dead_ends.__main__ import main
 from dead_ends.cli.export import cut_off
-from dead_ends.estimation import estimate_model
 from dead_ends.io import save_model
-from dead_ends.io.filter_table import load_filter
-from dead_ends.labels import classify, safe_actions
-from dead_ends.model import SafeMDP
+from dead_ends.io.estimation import estimate_model
+from dead_ends.labels.classification import classify, safe_actions
+from dead_ends.model.safe_mdp import SafeMDP
+from dead_ends.safety.filter_table import load_filter
 
 
 @pytest.fixture(autouse=True)

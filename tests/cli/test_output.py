@@ -9,7 +9,7 @@ import pytest
 
 from dead_ends.__main__ import main
 from dead_ends.io import load_model, save_model
-from dead_ends.model import SafeMDP
+from dead_ends.model.safe_mdp import SafeMDP
 
 WRITING = ("label", "certify", "convert", "export", "report")
 

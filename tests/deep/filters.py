@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from deep.safety_filter import Bounds, Normalisation, SafetyFilter
+from deep.data.normalisation import Normalisation
+from deep.filter.safety_filter import SafetyFilter
+from deep.tasks.bounds import Bounds
 
 
 def linear_filter(

@@ -16,12 +16,12 @@ from typing import Any
 
 import torch
 
-import deep.online.train
-from deep.folder import CsvLog
-from deep.online.config import train_config_from_json
-from deep.online.replay import Replay
-from deep.online.train import train
-from deep.task_policy import TrainedPolicy
+import deep.train.run
+from deep.filter.task_policy import TrainedPolicy
+from deep.runs.folder import CsvLog
+from deep.train.config import train_config_from_json
+from deep.train.replay import Replay
+from deep.train.run import train
 
 MOMENTS = (
     ("step", 0),  # nothing has happened yet
@@ -46,7 +46,7 @@ def die_at(kind: str, number: int) -> None:
         _die_after(Replay, "add", lambda _, step, __: step == number)
     elif kind == "checkpoint":
         calls = iter(range(number))
-        _die_before(deep.online.train, "save_checkpoint", lambda *_: next(calls, None) is None)
+        _die_before(deep.train.run, "save_checkpoint", lambda *_: next(calls, None) is None)
     elif kind == "row":
         _half_a_row(number)
     else:

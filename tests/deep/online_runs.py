@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from deep.config import Mix, PretrainConfig
-from deep.data import Transitions
-from deep.online.config import TrainConfig
-from deep.online.sac import SacSettings
+from deep.data.transitions import Transitions
+from deep.filter.safety_filter import SafetyFilter
 from deep.pretrain import AnySettings
-from deep.run import open_run, pretrain
-from deep.safety_filter import SafetyFilter
+from deep.pretrain.config import Mix, PretrainConfig
+from deep.pretrain.run import open_run, pretrain
+from deep.train.config import TrainConfig
+from deep.train.sac import SacSettings
 from tests.deep.filters import linear_filter
 
 SEEDS = (0, 3)

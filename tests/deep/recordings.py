@@ -6,8 +6,8 @@ from dataclasses import fields
 
 import numpy as np
 
-from deep.collect import collect, random_policy
-from deep.data import Transitions
+from deep.data.collect import collect, random_policy
+from deep.data.transitions import Transitions
 from deep.tasks import Brake
 
 BRAKE = Brake()

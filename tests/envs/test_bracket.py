@@ -4,7 +4,7 @@ import numpy as np
 
 from dead_ends import classify
 from dead_ends.envs.bracket import Grid, bracket
-from dead_ends.model import Geometry
+from dead_ends.model.safe_mdp import Geometry
 
 GRID = Grid(lower=(-1.0, 10.0), width=(0.5, 2.0), shape=(4, 3))
 

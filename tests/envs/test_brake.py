@@ -17,7 +17,7 @@ from dead_ends.envs.brake import (
     uniform_driver,
     weak_braker,
 )
-from dead_ends.results import INFINITE
+from dead_ends.labels.labelling import INFINITE
 
 LATTICES = [
     BrakeLattice(max_distance, max_speed, braking, acceleration, depth, dynamics)

@@ -7,7 +7,7 @@ import pytest
 
 from dead_ends import classify, value_iteration
 from dead_ends.envs.bridge import ACTIONS, bridge
-from dead_ends.results import INFINITE
+from dead_ends.labels.labelling import INFINITE
 
 
 @pytest.mark.parametrize("length", [2, 5, 7, 9, 11])

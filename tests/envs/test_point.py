@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from dead_ends.envs.point import Disc, PointBracket, PointModel, point_among_discs
-from dead_ends.implicit import SURVIVES, ImplicitLabelling, classify_implicit
+from dead_ends.labels.implicit import SURVIVES, ImplicitLabelling, classify_implicit
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

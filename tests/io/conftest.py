@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from dead_ends.model import SafeMDP
+from dead_ends.model.safe_mdp import SafeMDP
 
 
 def assert_same_dynamics(first: SafeMDP, second: SafeMDP) -> None:

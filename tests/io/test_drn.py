@@ -10,7 +10,7 @@ import pytest
 from dead_ends.io import load_model
 from dead_ends.io.drn import load_drn, read_drn
 from dead_ends.io.explicit import Failure
-from dead_ends.labels import classify
+from dead_ends.labels.classification import classify
 
 STORM = """\
 // Exported by storm

@@ -14,7 +14,7 @@ from dead_ends.io.environment_model import EnvironmentModel
 from dead_ends.io.errors import MissingDependencyError
 from dead_ends.io.explore import explore, explore_minigrid, minigrid_key
 from dead_ends.io.gymnasium_table import make_environment
-from dead_ends.labels import classify
+from dead_ends.labels.classification import classify
 
 
 def position(env: Any) -> int:

@@ -13,7 +13,7 @@ from dead_ends.io import load_model
 from dead_ends.io.environment_model import EnvironmentModel
 from dead_ends.io.errors import MissingDependencyError
 from dead_ends.io.gymnasium_table import load_gymnasium
-from dead_ends.labels import classify
+from dead_ends.labels.classification import classify
 
 HOLES = [5, 7, 11, 12]
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from dead_ends.io.networkx_graph import from_networkx, to_networkx
-from dead_ends.labels import classify
-from dead_ends.model import SafeMDP
+from dead_ends.labels.classification import classify
+from dead_ends.model.safe_mdp import SafeMDP
 
 
 def house() -> Any:

@@ -12,7 +12,7 @@ import pytest
 from dead_ends.io import load_model
 from dead_ends.io.gymnasium_table import load_gymnasium
 from dead_ends.io.networkx_graph import from_networkx
-from dead_ends.model import SafeMDP
+from dead_ends.model.safe_mdp import SafeMDP
 
 TRA = "4 4 6\n0 0 1 %\n0 0 2 %\n0 0 3 %\n1 0 1 1\n2 0 2 1\n3 0 3 1\n"
 DRN = (

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dead_ends.io.npz import load_npz, save_npz
-from dead_ends.model import Geometry, SafeMDP
+from dead_ends.model.safe_mdp import Geometry, SafeMDP
 
 TABLE = np.array([[0, 1], [2, 2], [-1, -1], [3, 3]], dtype=np.int32)
 FAIL = np.array([False, False, True, False])
@@ -221,8 +221,8 @@ def test_a_shape_that_the_file_cannot_have(shape: tuple[int, ...], tmp_path: Pat
 
 def test_an_array_larger_than_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Before it is unpacked: zeros need no room in the file."""
-    monkeypatch.setattr("dead_ends.memory.GIB", 2**20)
-    monkeypatch.setattr("dead_ends.memory.available_memory", lambda: 2**21)
+    monkeypatch.setattr("dead_ends.model.memory.GIB", 2**20)
+    monkeypatch.setattr("dead_ends.model.memory.available_memory", lambda: 2**21)
     path = tmp_path / "model.npz"
     write_raw(path, (2**20,), bytes(2**22))
     with pytest.raises(MemoryError, match=r"model\.npz: the array next_state.npy needs 4.0 GiB"):

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from dead_ends.io import NoFailureWarning, load_model, save_model
 from dead_ends.io.explicit import Failure
 from dead_ends.io.prism import load_prism
-from dead_ends.labels import classify
-from dead_ends.model import SafeMDP
+from dead_ends.labels.classification import classify
+from dead_ends.model.safe_mdp import SafeMDP
 
 TRA = """\
 4 5 7
@@ -498,7 +498,7 @@ def test_bad_states(old: str, new: str, message: str, tmp_path: Path) -> None:
 
 def test_more_states_than_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Before any table of that size is made."""
-    monkeypatch.setattr("dead_ends.memory.available_memory", lambda: 4 << 30)
+    monkeypatch.setattr("dead_ends.model.memory.available_memory", lambda: 4 << 30)
     path = tmp_path / "model.tra"
     path.write_text("2000000000 1 1\n0 0 0 1\n")
     with pytest.raises(MemoryError, match=r"model\.tra: a model of 2,000,000,000 states needs 149"):

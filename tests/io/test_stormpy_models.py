@@ -11,10 +11,10 @@ import pytest
 from hypothesis import HealthCheck, given, reject, settings
 from hypothesis import strategies as st
 
-from dead_ends.bellman import value_iteration
 from dead_ends.io import NoFailureWarning, load_model, save_model
 from dead_ends.io.errors import MissingDependencyError
-from dead_ends.labels import classify
+from dead_ends.labels.classification import classify
+from dead_ends.values.bellman import value_iteration
 
 PRISM = """\
 mdp

@@ -9,7 +9,7 @@ import pytest
 
 from dead_ends.io.errors import NoFailureWarning, located
 from dead_ends.io.transitions import Transitions, build_model, state_mask
-from dead_ends.model import Geometry
+from dead_ends.model.safe_mdp import Geometry
 
 
 def listed(rows: list[tuple[Any, ...]], num_states: int, **more: Any) -> Transitions:

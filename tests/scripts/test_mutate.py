@@ -86,9 +86,9 @@ def f(a: int | None, b=None):
 
 
 def test_every_mutant_is_one_module_with_a_name_of_its_own() -> None:
-    source = (ROOT / "deep" / "normalise.py").read_text(encoding="utf-8")
+    source = (ROOT / "deep" / "data" / "normalisation.py").read_text(encoding="utf-8")
     whole = ast.unparse(ast.parse(source))
-    every = list(mutate.mutants("deep/normalise.py", source))
+    every = list(mutate.mutants("deep/data/normalisation.py", source))
     assert len({mutant.name for mutant in every}) == len(every) > 100
     for mutant in every:
         compile(mutant.source(), "m.py", "exec")

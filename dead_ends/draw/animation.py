@@ -1,0 +1,136 @@
+"""Episodes as moving pictures: the labelled map, and agents that move on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+from PIL import Image
+
+from dead_ends.draw.geometry import (
+    COLORS,
+    LINES,
+    coordinates,
+    draw_labels,
+    extent_cells,
+    geometry_of,
+)
+from dead_ends.labels.labelling import INFINITE, Label, Labelling
+from dead_ends.model.safe_mdp import Geometry, SafeMDP, require_type
+
+__all__ = ["Run", "animate_runs"]
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One episode: states (T+1,), and whether the recovery policy acted, bool (T,)."""
+
+    name: str
+    states: NDArray[np.int_]
+    corrected: NDArray[np.bool_]
+
+
+def animate_runs(
+    model: SafeMDP, labelling: Labelling, runs: Sequence[Run], *, title: str = ""
+) -> list[Image.Image]:
+    """Episodes side by side on the labelled map, a frame a step; the last frame is the end.
+
+    An action of the recovery policy is marked where it was taken. Save the frames with
+    ``frames[0].save(path, save_all=True, append_images=frames[1:], ...)``.
+
+    Raises:
+        ValueError: if the model has no geometry, or two states share a cell.
+    """
+    require_type(model, SafeMDP, "animate_runs")
+    require_type(labelling, Labelling, "animate_runs")
+    figure, artists = _animation_figure(model, labelling, runs, title)
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()
+    # Only what moves is drawn anew for each frame: the rest takes most of the time.
+    background = canvas.copy_from_bbox(figure.bbox)
+    frames = []
+    for step in range(max(len(run.states) for run in runs)):
+        canvas.restore_region(background)
+        for run, moving in zip(runs, artists, strict=True):
+            _draw_step(geometry_of(model), labelling, run, moving, step)
+        image = Image.frombytes("RGBA", canvas.get_width_height(), bytes(canvas.buffer_rgba()))
+        frames.append(image.convert("RGB"))
+    return frames
+
+
+@dataclass(frozen=True, eq=False)
+class _Moving:
+    """What changes from frame to frame in one panel."""
+
+    axes: Axes
+    path: Line2D
+    recovered: Line2D
+    agent: Line2D
+
+
+def _animation_figure(
+    model: SafeMDP, labelling: Labelling, runs: Sequence[Run], title: str
+) -> tuple[Figure, list[_Moving]]:
+    geometry = geometry_of(model)
+    columns, rows = extent_cells(geometry)
+    height = max(3.4, 5.2 * rows / columns + 1.2) if geometry.y_down else 4.6
+    figure = Figure(figsize=(5.2 * len(runs), height), dpi=80, layout="constrained")
+    figure.suptitle(title)
+    artists = []
+    for axes in np.atleast_1d(figure.subplots(1, len(runs))):
+        draw_labels(axes, geometry, labelling.labels)
+        axes.set_title(" ", fontsize=11).set_animated(True)
+        artists.append(
+            _Moving(
+                axes,
+                axes.plot([], [], color="#333333", linewidth=1.6, animated=True)[0],
+                axes.plot([], [], "s", markersize=7, color=LINES[2], animated=True)[0],
+                axes.plot([], [], "o", markersize=11, color="black", mec="white", animated=True)[0],
+            )
+        )
+    present = [label for label in Label if labelling.count(label)]
+    handles: list[Any] = [
+        Patch(facecolor=COLORS[label], label=label.name.lower().replace("_", " "))
+        for label in present
+    ]
+    handles += [
+        Line2D([], [], linestyle="", marker="o", markersize=9, color="black", label="agent"),
+        Line2D([], [], linestyle="", marker="s", color=LINES[2], label="recovery policy acted"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=6, frameon=False)
+    return figure, artists
+
+
+def _draw_step(
+    geometry: Geometry, labelling: Labelling, run: Run, moving: _Moving, step: int
+) -> None:
+    step = min(step, len(run.states) - 1)
+    points = coordinates(geometry, run.states[: step + 1])
+    moving.path.set_data(*points.T)
+    moving.agent.set_data(*points[-1:].T)
+    moving.recovered.set_data(*points[:-1][run.corrected[:step]].T)
+    moving.axes.title.set_text(f"{run.name}: {_status(labelling, run, step)}")
+    for artist in (moving.path, moving.recovered, moving.agent, moving.axes.title):
+        moving.axes.draw_artist(artist)
+
+
+def _status(labelling: Labelling, run: Run, step: int) -> str:
+    label = Label(labelling.labels[run.states[step]])
+    if label == Label.FAIL:
+        return f"failed at step {step}"
+    if step == len(run.states) - 1 and label >= Label.SAFE:
+        return "never failed"
+    if step < len(run.corrected) and run.corrected[step]:
+        return "recovery policy acts"
+    if label == Label.DEAD:
+        time = labelling.survival_time[run.states[step]]
+        return "dead-end" if time == INFINITE else f"dead-end, fails within {time} steps"
+    return "task policy acts"

@@ -1,0 +1,179 @@
+"""One self-contained page about a model: ``python -m dead_ends report FILE --out report.html``.
+
+The page shows the labels in the model's geometry (or in a layout by survival time, if it has
+none), lets one move gamma_safe and epsilon_safe and see what each safety critic blocks, and
+answers a click on a state with the witness of its label. It needs no network.
+
+What the page is told: for each critic and each gamma on a grid the discounted time
+V(s) = E gamma^T (1 on fail states), so that Q(s, a) = sum of P(s' | s, a) V(s') and the gate
+Q < epsilon can be evaluated in the browser at any threshold. In deterministic models these are
+the powers of gamma themselves: deciding on gamma * gamma^(T - 1) would let dead-ends through.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dead_ends.certificates.certificate import find_witnesses
+from dead_ends.certificates.checker import Certificate
+from dead_ends.labels.classification import classify
+from dead_ends.labels.labelling import INFINITE, Label, Labelling
+from dead_ends.model.safe_mdp import Geometry, SafeMDP, require_type
+from dead_ends.safety.thresholds import ThresholdInterval, threshold_interval
+from dead_ends.values.bellman import evaluate_policy, value_iteration
+from dead_ends.values.conventions import CriticConvention, ValueConvention
+from dead_ends.values.values import Values
+
+__all__ = ["layout_by_survival_time", "report_page"]
+
+GAMMAS = (0.5, 0.7, 0.8, 0.9, 0.95, 0.97, 0.98, 0.99, 0.995, 0.999)
+MAX_STATES = 100_000
+COLUMN_HEIGHT = 40
+TIME: Any = {
+    "value": ValueConvention.TIME,
+    "critic": CriticConvention.NEXT_VALUE,
+    "tolerance": 1e-6,  # the page shows five digits
+}
+
+
+def report_page(
+    model: SafeMDP, title: str, policies: Mapping[str, NDArray[Any]] | None = None
+) -> str:
+    """The HTML page.
+
+    Args:
+        model: the model.
+        title: the page's heading, the model's name.
+        policies: task policies by name, int (S,) or float (S, A), whose critics can be
+            chosen beside Q*; without any, the uniformly random policy.
+
+    Raises:
+        ValueError: if the model has more states than a page can show.
+    """
+    require_type(model, SafeMDP, "report_page")
+    if model.num_states > MAX_STATES:
+        raise ValueError(
+            f"the page shows at most {MAX_STATES:,} states, the model has {model.num_states:,}; "
+            "`label --out` writes the labels of any model"
+        )
+    if policies is None:
+        policies = {"uniformly random policy": _uniform(model)}
+    labelling = classify(model)
+    intervals = [threshold_interval(model, gamma) for gamma in GAMMAS]
+    content = {
+        "title": title,
+        "kind": "deterministic" if model.is_deterministic else "stochastic",
+        "estimate": model.estimate,
+        **_states(model, labelling, find_witnesses(model, labelling)),
+        **_picture(model, labelling),
+        "gammas": GAMMAS,
+        "intervals": [_upper(interval) for interval in intervals],
+        "intervalTexts": [str(interval) for interval in intervals],
+        "critics": [_critic("best policy, Q*", [value_iteration(model, g, **TIME) for g in GAMMAS])]
+        + [
+            _critic(name, [evaluate_policy(model, policy, g, **TIME) for g in GAMMAS])
+            for name, policy in policies.items()
+        ],
+    }
+    template = files("dead_ends.draw").joinpath("page.html").read_text(encoding="utf-8")
+    # "</" would end the script element that holds the data.
+    data = json.dumps(content, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
+    return template.replace("/*DATA*/null", data)
+
+
+def layout_by_survival_time(labelling: Labelling) -> Geometry:
+    """A place for each state of a model without geometry: failure to the left, safety right.
+
+    From left to right: fail, dead by survival time (those without a bound last), at risk,
+    safe. A group with many states takes several columns.
+    """
+    require_type(labelling, Labelling, "layout_by_survival_time")
+    groups = [np.flatnonzero(labelling.fail)]
+    times = labelling.survival_time
+    groups += [
+        np.flatnonzero(labelling.dead & (times == time))
+        for time in np.unique(times[labelling.dead])
+    ]
+    groups += [np.flatnonzero(labelling.at_risk), np.flatnonzero(labelling.safe)]
+    largest = max(len(group) for group in groups)
+    height = max(COLUMN_HEIGHT, int(np.sqrt(largest)))
+    cell = np.zeros((len(times), 2), dtype=np.int32)
+    column = 0
+    for group in groups:
+        place = np.arange(len(group))
+        cell[group] = np.stack((column + place // height, place % height), axis=1)
+        column += -(-len(group) // height)
+    return Geometry(cell=cell, x_label="fail, dead by steps to failure, at risk, safe", y_label="")
+
+
+def _uniform(model: SafeMDP) -> NDArray[np.float64]:
+    """(S, A): each available action with the same probability; anything on fail rows."""
+    available = model.available
+    count = np.maximum(available.sum(axis=1, keepdims=True), 1)
+    policy = available / count
+    policy[model.fail] = 1 / model.num_actions
+    return np.asarray(policy)
+
+
+def _states(model: SafeMDP, labelling: Labelling, certificate: Certificate) -> dict[str, Any]:
+    """Labels, transitions, names and witnesses."""
+    kernel = model.transitions()
+    time = np.where(labelling.survival_time == INFINITE, -1, labelling.survival_time)
+    return {
+        "digest": certificate.digest,
+        "counts": {label.name: labelling.count(label) for label in Label},
+        "horizon": labelling.horizon,
+        "boundaryHorizon": labelling.boundary_horizon,
+        "numStates": model.num_states,
+        "numActions": model.num_actions,
+        "labels": labelling.labels.tolist(),
+        "time": time.tolist(),
+        "rank": certificate.rank.tolist(),
+        "escape": certificate.escape.tolist(),
+        "action": certificate.action.tolist(),
+        "terminal": np.flatnonzero(model.terminal).tolist(),
+        "start": np.asarray(kernel.indptr).tolist(),
+        "successors": np.asarray(kernel.indices).tolist(),
+        "probabilities": None if model.is_deterministic else _packed(kernel.data),
+        "stateNames": model.state_names,
+        "actionNames": model.action_names,
+    }
+
+
+def _picture(model: SafeMDP, labelling: Labelling) -> dict[str, Any]:
+    geometry = model.geometry or layout_by_survival_time(labelling)
+    return {
+        "cells": geometry.cell.tolist(),
+        "walls": geometry.walls,
+        "xLabel": geometry.x_label,
+        "yLabel": geometry.y_label,
+        "origin": geometry.origin,
+        "step": geometry.step,
+        "yDown": geometry.y_down,
+        "hasAxes": model.geometry is not None,
+    }
+
+
+def _upper(interval: ThresholdInterval) -> float | None:
+    """The largest exact threshold; None if there is none, no bound, or no float so small."""
+    upper = interval.upper
+    return None if not upper or np.isinf(float(upper)) else float(upper)
+
+
+def _critic(name: str, critics: list[Values]) -> dict[str, Any]:
+    """V for each gamma, as the distinct rows over the grid and each state's row."""
+    rows, index = np.unique(
+        np.stack([values.V for values in critics], axis=1), axis=0, return_inverse=True
+    )
+    return {"name": name, "values": _packed(rows), "index": index.ravel().tolist()}
+
+
+def _packed(numbers: NDArray[np.float64]) -> str:
+    return base64.b64encode(np.ascontiguousarray(numbers, dtype="<f8").tobytes()).decode()

@@ -1,0 +1,1 @@
+"""Transitions: collected or read, normalised, and drawn in minibatches."""

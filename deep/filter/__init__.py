@@ -1,0 +1,1 @@
+"""The safety filter that is deployed: numpy alone, as a file, around an environment."""

@@ -1,0 +1,280 @@
+"""One run of Algorithm 1 in a folder: from data to safety filters, resumable at any moment.
+
+The folder holds ``config.json`` (resolved, with versions), ``progress.csv``,
+``checkpoint.safetensors`` and, at the end, ``health.json`` and
+``filters/seed<k>.safetensors``. Every update
+is a function of the state before it and of its number, so a run that is killed and taken
+up again from its last checkpoint ends as if nothing had happened.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from dead_ends.io.atomic import atomic_path
+from deep.data.formats import read_hdf5
+from deep.data.minibatches import Batches
+from deep.data.normalisation import Normalisation, Ranges, normalisation_of, normalise, ranges_of
+from deep.data.transitions import Transitions
+from deep.filter.safety_filter import SafetyFilter
+from deep.pretrain import Learner, Sizes, build_learner
+from deep.pretrain.config import PretrainConfig, config_from_json, config_to_json, resolve
+from deep.pretrain.health import FilterHealth, check_filter, check_losses, write_health
+from deep.pretrain.trained_filter import extract_filter
+from deep.runs.checkpoint import load_checkpoint, save_checkpoint
+from deep.runs.folder import (
+    CsvLog,
+    InterruptAfterUpdate,
+    check_unused,
+    fingerprint,
+    only_process,
+    read_object,
+    versions,
+)
+from deep.tasks import Brake, DoubleIntegrator, Task, make_task
+from deep.tasks.bounds import Bounds
+
+__all__ = [
+    "PretrainResult",
+    "load_data",
+    "load_raw",
+    "open_run",
+    "pretrain",
+    "read_run",
+    "task_horizon",
+]
+
+COLUMNS = ("update", "seed", "critic_loss", "value_loss", "recovery_loss", "mean_q", "seconds")
+DATA_STREAM = 7
+
+
+@dataclass(frozen=True)
+class PretrainResult:
+    """What a run gives.
+
+    Attributes:
+        filters: one a seed, in the order of the seeds.
+        health: what each seed's filter does with the log that it was trained on.
+    """
+
+    filters: tuple[SafetyFilter, ...]
+    health: tuple[FilterHealth, ...]
+
+
+def task_horizon(task: Task) -> int | None:
+    """H of the tasks that have an exact answer."""
+    return task.horizon if isinstance(task, Brake | DoubleIntegrator) else None
+
+
+def check_run(config: PretrainConfig, folder: Path) -> PretrainConfig:
+    """The run's configuration with every number filled in; nothing is written.
+
+    Raises:
+        ValueError: if the folder holds another run.
+    """
+    task = None if config.task is None else make_task(config.task)
+    resolved = resolve(config, None if task is None else task_horizon(task))
+    same = config_from_json(config_to_json(resolved))
+    if not (folder / "config.json").exists():
+        check_unused(folder)
+    elif read_run(folder) != same:
+        raise ValueError(f"{folder} holds a run with another configuration")
+    return resolved
+
+
+def open_run(config: PretrainConfig, folder: Path) -> PretrainConfig:
+    """Begin a run in a new folder, or find the same one in an old folder, see
+    :func:`check_run`.
+    """
+    resolved = check_run(config, folder)
+    path = folder / "config.json"
+    if not path.exists():
+        data = fingerprint(resolved.data)
+        folder.mkdir(parents=True, exist_ok=True)
+        content = {"run": config_to_json(resolved), "made with": versions(), "data": data}
+        with atomic_path(path) as temporary:
+            temporary.write_text(json.dumps(content, indent=2) + "\n")
+    return resolved
+
+
+def read_run(folder: Path) -> PretrainConfig:
+    """The configuration of the run in this folder.
+
+    Raises:
+        ValueError: if there is none, or its data file has changed since.
+    """
+    path = folder / "config.json"
+    if not path.is_file():
+        raise ValueError(f"{folder}: there is no run here (no config.json)")
+    content = read_object(path, "run")
+    try:
+        config = config_from_json(content["run"])
+    except ValueError as error:
+        raise ValueError(f"{path}: not a pretraining run ({error})") from error
+    if fingerprint(config.data) != content.get("data"):
+        raise ValueError(f"{config.data}: the data have changed since the run began")
+    return config
+
+
+def load_data(
+    config: PretrainConfig,
+) -> tuple[list[Transitions], list[Normalisation], list[Ranges]]:
+    """Normalised data, one set a seed from a task or one for all from a file; a
+    normalisation a seed, and its ranges.
+    """
+    raw, normalisations = load_raw(config)
+    data, ranges = [], []
+    for normalisation in normalisations[: len(raw)]:
+        ranges.append(_ranges(config, raw[0]))
+        data.append(normalise(raw.pop(0), normalisation))  # not both at once, for all seeds
+    return data, normalisations, ranges * (len(config.seeds) // len(ranges))
+
+
+def _ranges(config: PretrainConfig, raw: Transitions) -> Ranges:
+    """A task's actions fill [-1, 1]; a file's bounds are stated, or what it covers."""
+    if config.task is not None:
+        return ranges_of(raw, Bounds.unit(raw.actions.shape[1]))
+    try:
+        return ranges_of(raw, config.action_bounds)
+    except ValueError as error:
+        raise ValueError(f"{config.data}: {error}") from error
+
+
+def load_raw(config: PretrainConfig) -> tuple[list[Transitions], list[Normalisation]]:
+    """The same data as they were recorded, and how they are to be normalised."""
+    if config.data is not None:
+        raw = _recorded(config)
+        return [raw], [normalisation_of(raw, config.sharpness)] * len(config.seeds)
+    assert config.task is not None
+    task = make_task(config.task)
+    pairs = [_collected(task, config, seed) for seed in config.seeds]
+    return [data for data, _ in pairs], [normalisation for _, normalisation in pairs]
+
+
+def _recorded(config: PretrainConfig) -> Transitions:
+    """The data of a file, as they were recorded."""
+    assert config.data is not None
+    return read_hdf5(config.data, cut=config.cut, violation=config.violation)
+
+
+def _collected(task: Task, config: PretrainConfig, seed: int) -> tuple[Transitions, Normalisation]:
+    """A seed's own data; to be normalised unless the task's observations are scaled already."""
+    data = config.mix.collect(task, np.random.default_rng((seed, DATA_STREAM)))
+    identity = Normalisation.identity(task.observation_dim, task.action_dim)
+    if (task.observation_low == -1).all() and (task.observation_high == 1).all():
+        return data, identity
+    found = replace(
+        normalisation_of(data, config.sharpness),
+        action_centre=identity.action_centre,  # a task's actions fill [-1, 1]
+        action_scale=identity.action_scale,
+    )
+    return data, found
+
+
+def pretrain(config: PretrainConfig, folder: Path, *, quiet: bool = False) -> PretrainResult:
+    """Train, or go on training, in this folder.
+
+    A filter of no use is a result like any other: its ``health`` says so.
+
+    An interrupt (Ctrl-C) is passed on after the update at work and a checkpoint.
+
+    Raises:
+        ValueError: for a folder with another run, or another process at work, or data that
+            cannot be used.
+        FloatingPointError: if a loss is not a number; the last checkpoint stays.
+    """
+    with only_process(folder):
+        return _pretrain(config, folder, quiet)
+
+
+def _pretrain(config: PretrainConfig, folder: Path, quiet: bool) -> PretrainResult:
+    config = check_run(config, folder)
+    filters = _learned(config, folder, quiet)
+    health = tuple(
+        check_filter(safety, log, config.horizon)
+        for safety, log in zip(filters, _logs(config), strict=True)
+    )
+    write_health(health, folder)
+    (folder / "filters").mkdir(exist_ok=True)
+    for safety in filters:
+        safety.save(folder / "filters" / f"seed{safety.seed}.safetensors")
+    return PretrainResult(filters, health)
+
+
+def _learned(config: PretrainConfig, folder: Path, quiet: bool) -> tuple[SafetyFilter, ...]:
+    """The filters of a run that has been trained to its end."""
+    assert config.threshold is not None
+    assert config.gamma_safe is not None
+    if config.device == "cuda" and not torch.cuda.is_available():
+        raise ValueError("device cuda: this machine or this build of torch has no CUDA device")
+    data, normalisations, ranges = load_data(config)
+    device = torch.device(config.device)
+    sizes = Sizes(data[0].observations.shape[1], data[0].actions.shape[1])
+    learner = build_learner(config.method, sizes, config.seeds).to(device)
+    open_run(config, folder)  # only now: everything fits
+    settings = config.method
+    batches = Batches(data, config.seeds, settings.batch_size, settings.violation_share, device)
+    del data  # the batches have their own copy
+    _train(learner, batches, config, folder, quiet)
+    return tuple(
+        extract_filter(learner, seed, config.threshold, config.gamma_safe, normalisation, own)
+        for seed, normalisation, own in zip(config.seeds, normalisations, ranges, strict=True)
+    )
+
+
+def _logs(config: PretrainConfig) -> Iterator[Transitions]:
+    """The data of each seed as they were recorded, once more, one after the other."""
+    if config.data is not None:
+        log = _recorded(config)
+        yield from (log for _ in config.seeds)
+        return
+    assert config.task is not None
+    task = make_task(config.task)
+    for seed in config.seeds:
+        yield _collected(task, config, seed)[0]
+
+
+def _train(
+    learner: Learner, batches: Batches, config: PretrainConfig, folder: Path, quiet: bool
+) -> None:
+    checkpoint = folder / "checkpoint.safetensors"
+    done = load_checkpoint(learner, checkpoint)[0] if checkpoint.exists() else 0
+    log = CsvLog(folder / "progress.csv", COLUMNS, done)
+    begin = time.perf_counter()
+    bar = tqdm(total=config.updates, initial=done, desc=learner.name, unit="", disable=quiet)
+    with bar, InterruptAfterUpdate() as interrupt:
+        while done < config.updates:
+            batch = batches.get(done)
+            losses = learner.update(batch, done / config.updates)
+            done += 1
+            bar.update()
+            stop = interrupt.asked  # read once: it may be set at any moment
+            last = stop or done == config.updates
+            if done % config.log_every == 0 or last:
+                check_losses(learner, losses, done)
+                with torch.no_grad():
+                    q = learner.critic.worst(batch.observation, batch.action).mean(dim=1)
+                log.write(_log_rows(learner, done, (*losses, q), time.perf_counter() - begin))
+            if done % config.checkpoint_every == 0 or last:
+                check_losses(learner, losses, done)
+                save_checkpoint(learner, done, checkpoint)
+            if stop:
+                raise KeyboardInterrupt
+
+
+def _log_rows(
+    learner: Learner, update: int, numbers: tuple[torch.Tensor, ...], seconds: float
+) -> list[tuple[object, ...]]:
+    """One row a seed of ``progress.csv``."""
+    return [
+        (update, seed, *(f"{float(number[k]):.6g}" for number in numbers), f"{seconds:.1f}")
+        for k, seed in enumerate(learner.seeds)
+    ]

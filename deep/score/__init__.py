@@ -1,0 +1,1 @@
+"""Learned filters scored against the exact answer."""

@@ -1,0 +1,209 @@
+"""Who corrects during online training (Algorithm 2, lines 9 to 14).
+
+    a = a_task if Q_c(s, a_task) < epsilon, else the mean of pi_rec(s)
+
+All actions are in the environment's own units. What is executed is finite and within the
+bounds by the rules of :mod:`deep.filter.safety_filter`, finetuned or not.
+
+DEA-RRL's critic and recovery policy stay as pretrained, which gives the task policy a
+stable environment; RRL's go on learning, because the critic it needs is the task policy's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from deep.data.minibatches import Batch, Batches
+from deep.data.normalisation import Ranges
+from deep.data.scaling import Scaling, columns
+from deep.filter.safety_filter import SafetyFilter, Watch, inner_ends
+from deep.pretrain import Learner, Rrl, TaskPolicy
+from deep.pretrain.health import check_losses
+from deep.pretrain.trained_filter import extract_filter
+from deep.train.learner import TaskBatch
+
+__all__ = ["FinetunedGate", "FrozenGate", "Gate", "Gated", "OpenGate"]
+
+Floats = NDArray[np.float32]
+
+
+class Gated(NamedTuple):
+    """What was made of N actions of K seeds.
+
+    Attributes:
+        executed: float32 (K, N, a).
+        intervened: bool (K, N).
+    """
+
+    executed: Floats
+    intervened: NDArray[np.bool_]
+
+
+class Gate(Protocol):
+    """Behavior correction for K seeds, each with its own critic."""
+
+    def correct(self, observation: Floats, action: Floats) -> Gated:
+        """Correct raw actions (K, N, a) in raw observations (K, N, o)."""
+
+    def learn(self, update: int, batch: TaskBatch, task_policy: TaskPolicy) -> None:
+        """Finetune on the task learner's batch, raw, after its own update.
+
+        ``task_policy`` takes raw observations and noise and gives actions.
+        """
+
+    def filters(self) -> tuple[SafetyFilter, ...]:
+        """The filters as they are now, one a seed; none where nothing is corrected."""
+
+
+class OpenGate:
+    """No correction: SAC and WCSAC."""
+
+    def correct(self, observation: Floats, action: Floats) -> Gated:  # noqa: ARG002  (a Gate)
+        """The actions."""
+        return Gated(action, np.zeros(action.shape[:2], dtype=np.bool_))
+
+    def learn(self, update: int, batch: TaskBatch, task_policy: TaskPolicy) -> None:
+        """Nothing."""
+
+    def filters(self) -> tuple[SafetyFilter, ...]:
+        """None."""
+        return ()
+
+
+class FrozenGate:
+    """DEA-RRL and its forms: one pretrained filter a seed.
+
+    Attributes:
+        watch: counts of what the filters did and met, over all seeds.
+    """
+
+    def __init__(self, filters: Sequence[SafetyFilter]) -> None:
+        self._filters = tuple(filters)
+        self.watch = Watch()
+
+    def correct(self, observation: Floats, action: Floats) -> Gated:
+        """Equation (behavior_correction) of every seed's filter."""
+        done = [f.correct(s, a) for f, s, a in zip(self._filters, observation, action, strict=True)]
+        for safety, seen, correction in zip(self._filters, observation, done, strict=True):
+            self.watch.add(safety, seen, correction)
+        return Gated(
+            np.stack([part.executed for part in done]), np.stack([part.intervened for part in done])
+        )
+
+    def learn(self, update: int, batch: TaskBatch, task_policy: TaskPolicy) -> None:
+        """Nothing: the correction is a fixed part of the environment."""
+
+    def filters(self) -> tuple[SafetyFilter, ...]:
+        """The filters."""
+        return self._filters
+
+
+class FinetunedGate:
+    """RRL and RRL (MSDP): the learner goes on, on half offline and half online data.
+
+    Args:
+        learner: pretrained; changed in place.
+        thresholds: one a seed.
+        scaling: what the learner's networks see.
+        ranges: of the pretraining's data, one a seed; the action bounds are the task's.
+        gamma_safe: the learner's discount of the cost.
+        offline: the pretraining's data as recorded, half of the batch size at a time.
+    """
+
+    def __init__(
+        self,
+        learner: Learner,
+        thresholds: Sequence[float],
+        scaling: Scaling,
+        ranges: Sequence[Ranges],
+        gamma_safe: float,
+        offline: Batches,
+    ) -> None:
+        self.learner = learner
+        self._gamma_safe = gamma_safe
+        self._thresholds = tuple(thresholds)
+        self._limits = torch.tensor(thresholds, dtype=torch.float32)[:, None]
+        self._scaling = scaling
+        self._ranges = tuple(ranges)
+        ends = [inner_ends(own.actions) for own in ranges]
+        self._low, self._high = (
+            columns(x.tolist() for x in end) for end in zip(*ends, strict=True)
+        )
+        self._offline = offline
+
+    @torch.no_grad()
+    def correct(self, observation: Floats, action: Floats) -> Gated:
+        """Equation (behavior_correction) with the critic of the moment."""
+        raw, proposed = torch.from_numpy(observation), torch.from_numpy(action)
+        s = self._scaling.observation(raw)
+        seen = raw.isfinite() & s.isfinite()
+        s = torch.where(seen, s, 0.0)
+        a = proposed.clamp(self._low, self._high)
+        logits = self.learner.critic.logits(s, self._scaling.action(a))
+        known = seen.all(dim=-1) & proposed.isfinite().all(dim=-1) & logits.isfinite().all(dim=1)
+        critic = torch.sigmoid(logits.amax(dim=1))
+        intervened = ~(known & (critic < self._limits))
+        unit = self.learner.recovery.mean_action(s).nan_to_num(nan=0.0)
+        recovery = self._scaling.raw_action(unit).clamp(self._low, self._high)
+        return Gated(torch.where(intervened[..., None], recovery, a).numpy(), intervened.numpy())
+
+    def learn(self, update: int, batch: TaskBatch, task_policy: TaskPolicy) -> None:
+        """One update of critic and recovery policy; RRL's critic is that of ``task_policy``.
+
+        Raises:
+            FloatingPointError: if a loss is not a number.
+        """
+        raw = _joined(self._offline.get(update), batch)
+        scaling = self._scaling
+        if isinstance(self.learner, Rrl):
+            # RRL asks in its own coordinates; the task policy has others.
+            self.learner.task_policy = lambda _, noise: scaling.action(
+                task_policy(raw.next_observation, noise)
+            )
+        losses = self.learner.update(
+            raw._replace(
+                observation=scaling.observation(raw.observation),
+                next_observation=scaling.observation(raw.next_observation),
+                action=scaling.action(raw.action),
+            ),
+            0.0,
+        )
+        try:
+            check_losses(self.learner, losses, update)
+        except FloatingPointError as error:
+            raise FloatingPointError(f"finetuning of {self.learner.name}: {error}") from error
+
+    def filters(self) -> tuple[SafetyFilter, ...]:
+        """Copies of the networks of the moment."""
+        return tuple(
+            extract_filter(self.learner, seed, threshold, self._gamma_safe, normalisation, ranges)
+            for seed, threshold, normalisation, ranges in zip(
+                self.learner.seeds,
+                self._thresholds,
+                self._scaling.normalisation,
+                self._ranges,
+                strict=True,
+            )
+        )
+
+
+def _joined(offline: Batch, online: TaskBatch) -> Batch:
+    """Offline transitions and as many online ones, with the actions that were executed."""
+    half = offline.cost.shape[1]
+    fresh = Batch(
+        online.observation,
+        online.executed,
+        online.next_observation,
+        online.cost,
+        online.terminal,
+        online.noise,
+        online.next_noise,
+    )
+    return Batch(
+        *(torch.cat([old, new[:, :half]], dim=1) for old, new in zip(offline, fresh, strict=True))
+    )

@@ -1,0 +1,1 @@
+"""The paper's statements, one module a part of the paper."""

@@ -1,0 +1,1 @@
+"""What checks the claims: models, oracles, wrong variants, the report card."""
