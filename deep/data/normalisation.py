@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deep.data.transitions import Transitions
-from deep.tasks.bounds import CONSTANT, ROUNDING, Bounds
+from deep.tasks.bounds import CONSTANT, LARGEST, LEAST, ROUNDING, Bounds
 
 __all__ = [
     "Normalisation",
@@ -83,8 +83,12 @@ class Normalisation:
             centre, scale = getattr(self, f"{name}_centre"), getattr(self, f"{name}_scale")
             if len(centre) != len(scale):
                 raise ValueError(f"{name}: {len(centre)} centres for {len(scale)} scales")
-            if not all(np.isfinite(centre)) or not all(np.isfinite(scale)) or min(scale) <= 0:
-                raise ValueError(f"{name}: centres must be finite, scales positive and finite")
+            fits = all(abs(x) <= LARGEST for x in centre)
+            if not scale or not fits or not all(LEAST <= x <= LARGEST for x in scale):
+                raise ValueError(
+                    f"{name}: centres must be finite, scales positive and finite, in single "
+                    "precision"
+                )
         power = self.observation_power
         if len(power) not in (0, len(self.observation_centre)):
             raise ValueError(
@@ -110,7 +114,7 @@ class Normalisation:
     @classmethod
     def from_json(cls, plain: dict[str, list[float]]) -> Normalisation:
         """What ``asdict`` gave, after JSON has made lists of its tuples."""
-        return cls(**{name: tuple(values) for name, values in plain.items()})
+        return cls(**{name: tuple(map(float, values)) for name, values in plain.items()})
 
     @classmethod
     def identity(cls, observation_dim: int, action_dim: int) -> Normalisation:

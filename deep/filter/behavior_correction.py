@@ -21,10 +21,12 @@ proposes or the environment shows (the rules: :mod:`deep.filter.safety_filter`).
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import NDArray
@@ -94,7 +96,7 @@ class BehaviorCorrection(
         seen = self._observation[None]
         done = self.safety.correct(seen, np.asarray(action)[None])
         self.watch.add(self.safety, seen, done)
-        executed = done.executed[0].astype(self.env.action_space.dtype)
+        executed = _executed(done.executed, self.env.action_space)[0]
         observation, reward, terminated, truncated, info = self.env.step(executed)
         self._observation = np.array(observation)
         info = info | self._report(
@@ -148,7 +150,21 @@ class BehaviorCorrectionVector(VectorWrapper[NDArray[Any], NDArray[Any], NDArray
         super().__init__(env)
         self.safety = _fitted(safety, env.single_observation_space, env.single_action_space)
         self.watch = Watch()
+        self._text = safety.to_text()
         self._observations: NDArray[Any] | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:  # type: ignore[override]  # as in Gymnasium's VectorWrapper
+        """With it ``gymnasium.make_vec`` makes copies that each have a BehaviorCorrection.
+
+        None where another wrapper lies in between: no specification says where.
+        """
+        spec = self.env.spec
+        if spec is None or isinstance(self.env, VectorWrapper) or spec.kwargs.get("wrappers"):
+            return None
+        spec = deepcopy(spec)
+        spec.additional_wrappers += (BehaviorCorrection.wrapper_spec(safety=self._text),)
+        return spec
 
     @property
     def steps(self) -> int:
@@ -185,7 +201,7 @@ class BehaviorCorrectionVector(VectorWrapper[NDArray[Any], NDArray[Any], NDArray
         seen = self._observations
         done = self.safety.correct(seen, np.asarray(actions))
         self.watch.add(self.safety, seen, done)
-        executed = done.executed.astype(self.single_action_space.dtype)
+        executed = _executed(done.executed, self.single_action_space)
         observations, rewards, terminated, truncated, info = self.env.step(executed)
         self._observations = np.array(observations)
         info = info | self._report(
@@ -210,6 +226,11 @@ class BehaviorCorrectionVector(VectorWrapper[NDArray[Any], NDArray[Any], NDArray
             "out_of_range_steps": np.full(self.num_envs, self.watch.out_of_range),
             "not_finite_steps": np.full(self.num_envs, self.watch.not_finite),
         }
+
+
+def _executed(actions: NDArray[Any], space: Any) -> NDArray[Any]:
+    """Actions in the type of their space, and within it: there may be no float32 in between."""
+    return np.asarray(np.clip(actions.astype(space.dtype), space.low, space.high))
 
 
 def _fitted(safety: SafetyFilter, observations: Any, actions: Any) -> SafetyFilter:

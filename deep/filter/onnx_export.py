@@ -119,7 +119,7 @@ def export_onnx(safety: SafetyFilter, path: str | os.PathLike[str]) -> None:
     logits = graph.perceptron(x, safety.critic)  # (M, n, 1)
     judged = graph.op("Sigmoid", graph.worst(logits, len(safety.critic[0][0])))  # (n, 1)
     missing = graph.op("Or", graph.any(lost, axis=1), graph.any(graph.infinite("action"), axis=1))
-    overflow = graph.op("Squeeze", graph.any(graph.op("IsNaN", logits), axis=0), first)
+    overflow = graph.op("Squeeze", graph.any(graph.infinite(logits), axis=0), first)
     critic = graph.op("Where", graph.op("Or", missing, overflow), one, judged)
     threshold = np.array([[safety.threshold]], dtype=np.float32)
     allowed = graph.op("Less", critic, graph.constant(threshold))

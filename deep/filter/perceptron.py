@@ -42,16 +42,28 @@ def forward(layers: Layers, x: Floats) -> Floats:
     return np.asarray(x @ last + bias)
 
 
-def for_raw_inputs(layers: Layers, centre: NDArray[Any], scale: NDArray[Any]) -> Layers:
-    """The same function of x where ``layers`` take (x - centre) / scale."""
+def for_raw_inputs(part: str, layers: Layers, centre: NDArray[Any], scale: NDArray[Any]) -> Layers:
+    """The same function of x where ``layers`` take (x - centre) / scale.
+
+    Raises:
+        ValueError: naming the part, if single precision cannot hold its weights.
+    """
     (weights, biases), *rest = layers
     scaled = weights.astype(np.float64) / scale[:, None]
     shifted = biases - centre @ scaled if biases.ndim == 1 else biases - (centre @ scaled)[:, None]
-    return ((scaled.astype(np.float32), shifted.astype(np.float32)), *rest)
+    with np.errstate(over="ignore"):
+        first = scaled.astype(np.float32), shifted.astype(np.float32)
+    if not all(np.isfinite(array).all() for array in first):
+        raise ValueError(f"{part}: the scales are too small for its weights")
+    return (first, *rest)
 
 
-def check_layers(part: str, layers: Layers, inputs: int, outputs: int) -> None:
+def check_layers(
+    part: str, layers: Layers, inputs: int, outputs: int, *, several: bool = False
+) -> None:
     """Refuse layers that do not map R^inputs to R^outputs, or hold a NaN.
+
+    With ``several`` they are those of M networks, else of one.
 
     Raises:
         ValueError: naming the part.
@@ -61,6 +73,14 @@ def check_layers(part: str, layers: Layers, inputs: int, outputs: int) -> None:
     for i, (weights, biases) in enumerate(layers):
         if weights.ndim not in (2, 3):
             raise ValueError(f"{part}: the weights of layer {i} have shape {weights.shape}")
+        if (weights.ndim == 3) != several:
+            found, wanted = ("one network", "several") if several else ("several networks", "one")
+            raise ValueError(f"{part}: layer {i} holds {found}, expected {wanted}")
+        if not len(weights):
+            raise ValueError(f"{part}: layer {i} holds no network")
+        for array in (weights, biases):
+            if array.dtype != np.float32:
+                raise ValueError(f"{part}: layer {i} is of type {array.dtype}, expected float32")
         outs = weights.shape[-1]
         if biases.shape != ((outs,) if weights.ndim == 2 else (len(weights), 1, outs)):
             raise ValueError(
@@ -133,6 +153,8 @@ def networks_from_bytes(
         arrays = load(content)
     except SafetensorError as error:
         raise ValueError(f"not a safetensors file ({error})") from error
+    except KeyError as error:  # a type that numpy has not
+        raise ValueError(f"arrays of type {error}, expected F32") from error
     rest = _header(content)
     if rest.get("format") != form:
         raise ValueError(f"not a {form!r} file{_older(rest.get('format'), form)}")
@@ -148,7 +170,7 @@ def _header(content: bytes) -> dict[str, Any]:
     metadata = json.loads(content[8 : 8 + length]).get("__metadata__") or {}
     try:
         rest = json.loads(metadata.get("networks", "{}"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"the header is damaged ({error})") from error
     return rest if isinstance(rest, dict) else {}
 

@@ -38,7 +38,7 @@ from deep.filter.perceptron import (
     read_networks,
     write_networks,
 )
-from deep.tasks.bounds import ROUNDING, Bounds
+from deep.tasks.bounds import LARGEST, ROUNDING, Bounds
 
 __all__ = [
     "Correction",
@@ -114,23 +114,27 @@ class SafetyFilter:
     def __post_init__(self) -> None:
         if not 0 < self.threshold <= 1:
             raise ValueError(f"threshold must lie in (0, 1], not {self.threshold}")
+        if not 0 < self.reach < np.inf:
+            raise ValueError(f"reach must be positive and finite, not {self.reach}")
+        if not 0 <= self.gamma_safe <= 1:
+            raise ValueError(f"gamma_safe must lie in [0, 1], not {self.gamma_safe}")
         o, a = self.observation_dim, self.action_dim
         if (len(self.observations.low), len(self.actions.low)) != (o, a):
             raise ValueError(
                 f"the bounds are those of {len(self.observations.low)} observations and "
                 f"{len(self.actions.low)} actions, expected {o} and {a}"
             )
-        check_layers("critic", self.critic, o + a, 1)
+        check_layers("critic", self.critic, o + a, 1, several=True)
         check_layers("recovery", self.recovery, o, 2 * a)
         for weights, biases in (*self.critic, *self.recovery):
             weights.flags.writeable = biases.flags.writeable = False
         n = self.normalisation
         centre = np.array(n.observation_centre + n.action_centre)
         scale = np.array(n.observation_scale + n.action_scale)
-        low, high = self.observations.widened(FAR)
+        low, high = np.clip(self.observations.widened(FAR), -LARGEST, LARGEST)
         for name, value in (
-            ("_raw_critic", for_raw_inputs(self.critic, centre, scale)),
-            ("_raw_recovery", for_raw_inputs(self.recovery, centre[:o], scale[:o])),
+            ("_raw_critic", for_raw_inputs("critic", self.critic, centre, scale)),
+            ("_raw_recovery", for_raw_inputs("recovery", self.recovery, centre[:o], scale[:o])),
             ("_observation_centre", np.array(n.observation_centre, dtype=np.float32)),
             ("_action_scale", np.array(n.action_scale, dtype=np.float32)),
             ("_action_centre", np.array(n.action_centre, dtype=np.float32)),
@@ -191,18 +195,24 @@ class SafetyFilter:
         """float32 (n,): Q_c(s, a), the most pessimistic member's, for (n, o) and (n, a).
 
         1 where an observation or an action is not finite, or the networks overflow.
+
+        Raises:
+            ValueError: for other shapes, and for what are no real numbers.
         """
         with np.errstate(over="ignore", invalid="ignore"):
-            seen, proposed = _single(observations), _single(actions)
+            seen, proposed = self._pairs(observations, actions)
             critic = self._judged(seen, proposed)
         critic[~(_finite(seen) & _finite(proposed))] = 1
         return critic
 
     def _judged(self, seen: Floats, proposed: Floats) -> Floats:
         """Q_c for finite observations and actions."""
-        x = np.concatenate([self.normalisation.powered(seen), proposed], axis=1)
-        critic = _sigmoid(forward(self._raw_critic, x)[:, :, 0].max(axis=0))
-        critic[np.isnan(critic)] = 1
+        powered = self.normalisation.powered(seen)
+        logits = forward(self._raw_critic, np.concatenate([powered, proposed], axis=1))[:, :, 0]
+        critic = _sigmoid(logits.max(axis=0))
+        critic[~np.isfinite(logits).all(axis=0)] = 1  # minus infinity is no proof of safety
+        if powered is not seen:
+            critic[~_finite(powered)] = 1
         return critic
 
     def recovery_action(self, observations: NDArray[Any]) -> Floats:
@@ -210,9 +220,20 @@ class SafetyFilter:
 
         A coordinate of an observation that is not finite is taken to be at its mean; where the
         networks overflow, the action is the middle of the policy's range.
+
+        Raises:
+            ValueError: for other shapes, and for what are no real numbers.
         """
         with np.errstate(over="ignore", invalid="ignore"):
-            return self._recovered(_single(observations))
+            return self._recovered(_rows("observations", observations, self.observation_dim))
+
+    def _pairs(self, observations: NDArray[Any], actions: NDArray[Any]) -> tuple[Floats, Floats]:
+        """The same in single precision, n of each."""
+        seen = _rows("observations", observations, self.observation_dim)
+        proposed = _rows("actions", actions, self.action_dim)
+        if len(seen) != len(proposed):
+            raise ValueError(f"there are {len(seen)} observations and {len(proposed)} actions")
+        return seen, proposed
 
     def _recovered(self, observations: Floats) -> Floats:
         seen = self.normalisation.powered(observations)
@@ -229,9 +250,12 @@ class SafetyFilter:
 
         Actions are first moved to the nearest bound. One at or above the threshold is
         replaced; so is one that cannot be judged, see the head of this module.
+
+        Raises:
+            ValueError: for other shapes, and for what are no real numbers.
         """
         with np.errstate(over="ignore", invalid="ignore"):
-            seen, proposed = _single(observations), _single(actions)
+            seen, proposed = self._pairs(observations, actions)
             low, high = self._near
             near = (seen >= low) & (seen <= high)  # and finite
             executed = _within(proposed, *self._action_ends)
@@ -310,14 +334,20 @@ class SafetyFilter:
         Raises:
             ValueError: if it is broken, or something else.
         """
-        content = base64.b64decode(text, validate=True)
+        try:
+            content = base64.b64decode(text, validate=True)
+        except ValueError as error:
+            raise ValueError(
+                "not a safety filter as text, which SafetyFilter.to_text gives; SafetyFilter.load "
+                f"reads a file ({error})"
+            ) from error
         return cls._from_parts(*networks_from_bytes(content, FORMAT, ("critic", "recovery")))
 
     @classmethod
     def _from_parts(cls, layers: dict[str, Layers], rest: dict[str, Any]) -> SafetyFilter:
         try:
             ranges = {
-                name: Bounds(tuple(rest[name]["low"]), tuple(rest[name]["high"]))
+                name: Bounds(*(tuple(map(float, rest[name][end])) for end in ("low", "high")))
                 for name in ("actions", "observations")
             }
             return cls(
@@ -331,8 +361,10 @@ class SafetyFilter:
                 method=str(rest["method"]),
                 seed=int(rest["seed"]),
             )
-        except (KeyError, TypeError) as error:
+        except KeyError as error:
             raise ValueError(f"the safety filter lacks {error}") from error
+        except (TypeError, AttributeError, OverflowError) as error:
+            raise ValueError(f"the safety filter's header is damaged ({error})") from error
 
 
 class Watch:
@@ -383,9 +415,17 @@ def inner_ends(bounds: Bounds) -> tuple[Floats, Floats]:
     )
 
 
-def _single(rows: NDArray[Any]) -> Floats:
-    """In single precision; what is too large for it becomes infinite."""
-    return np.asarray(rows, dtype=np.float32)
+def _rows(name: str, given: NDArray[Any], width: int) -> Floats:
+    """(n, width) in single precision; what is too large for it becomes infinite."""
+    try:
+        rows = np.asarray(given)
+    except ValueError as error:
+        raise ValueError(f"{name}: the rows differ in length ({error})") from error
+    if rows.dtype.kind not in "biuf":
+        raise ValueError(f"{name} are of type {rows.dtype}, not real numbers")
+    if rows.ndim != 2 or rows.shape[1] != width:
+        raise ValueError(f"{name} have shape {rows.shape}, expected (n, {width})")
+    return rows.astype(np.float32, copy=False)
 
 
 def _within(x: NDArray[Any], low: Floats | float, high: Floats | float) -> Floats:

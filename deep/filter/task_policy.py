@@ -45,9 +45,10 @@ class TrainedPolicy:
 
     def __post_init__(self) -> None:
         n = self.normalisation
-        check_layers("policy", self.layers, len(n.observation_centre), 2 * len(n.action_centre))
+        o, a = len(n.observation_centre), len(n.action_centre)
+        check_layers("policy", self.layers, o, 2 * a)
         raw = for_raw_inputs(
-            self.layers, np.array(n.observation_centre), np.array(n.observation_scale)
+            "policy", self.layers, np.array(n.observation_centre), np.array(n.observation_scale)
         )
         object.__setattr__(self, "_raw", raw)
 
@@ -95,8 +96,10 @@ class TrainedPolicy:
                 str(rest["method"]),
                 int(rest["seed"]),
             )
-        except (KeyError, TypeError) as error:
+        except KeyError as error:
             raise ValueError(f"{path}: the task policy lacks {error}") from error
+        except (TypeError, AttributeError, OverflowError) as error:
+            raise ValueError(f"{path}: the task policy's header is damaged ({error})") from error
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
 

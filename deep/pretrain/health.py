@@ -25,9 +25,10 @@ from numpy.typing import NDArray
 
 from dead_ends.io.atomic import atomic_path
 from deep.data.transitions import Transitions
-from deep.filter.safety_filter import SafetyFilter
+from deep.filter.safety_filter import UNSEEN, SafetyFilter
 from deep.pretrain.learner import Learner, Losses
 from deep.runs.folder import from_plain, read_object
+from deep.tasks.bounds import Bounds
 
 __all__ = ["Fault", "FilterHealth", "check_filter", "check_losses", "read_health", "write_health"]
 
@@ -114,13 +115,22 @@ def check_filter(safety: SafetyFilter, log: Transitions, horizon: int | None) ->
             known, counts as 1: the step that violates.
 
     Raises:
-        ValueError: if the log has observations or actions of other dimensions.
+        ValueError: if the log has observations or actions of other dimensions, or actions
+            further outside of the filter's bounds than an environment's may lie.
     """
     found = (log.observations.shape[1], log.actions.shape[1])
     if found != (safety.observation_dim, safety.action_dim):
         raise ValueError(
             f"the log has observations in R^{found[0]} and actions in R^{found[1]}, the filter "
             f"takes R^{safety.observation_dim} and R^{safety.action_dim}"
+        )
+    if horizon is not None and horizon < 0:
+        raise ValueError(f"horizon must not be negative, not {horizon}")
+    low, high = safety.actions.widened(UNSEEN)
+    covered = Bounds.covered(log.actions)
+    if (np.array(covered.low) < low).any() or (np.array(covered.high) > high).any():
+        raise ValueError(
+            f"the log has actions in {covered}, the filter was trained on {safety.actions}"
         )
     steps = max(horizon or 1, 1)
     blocks = [slice(first, first + ROWS) for first in range(0, len(log), ROWS)]

@@ -10,11 +10,14 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-__all__ = ["CONSTANT", "ROUNDING", "Bounds", "action_bounds"]
+__all__ = ["CONSTANT", "LARGEST", "LEAST", "ROUNDING", "Bounds", "action_bounds"]
 
 
 ROUNDING = 1e-3
 """The share by which it may be narrower: logged actions are rounded."""
+
+LARGEST, LEAST = float(np.finfo(np.float32).max), float(np.finfo(np.float32).tiny)
+"""What networks compute in holds no greater number, and none nearer to 0 in full precision."""
 
 
 CONSTANT = 1e-6
@@ -26,7 +29,7 @@ class Bounds:
     """low <= x <= high, one number a coordinate.
 
     Attributes:
-        low, high: the ends; finite.
+        low, high: the ends; finite in single precision.
     """
 
     low: tuple[float, ...]
@@ -35,8 +38,8 @@ class Bounds:
     def __post_init__(self) -> None:
         if len(self.low) != len(self.high):
             raise ValueError(f"bounds: {len(self.low)} lower ends for {len(self.high)} upper ones")
-        if not all(np.isfinite(self.low)) or not all(np.isfinite(self.high)):
-            raise ValueError(f"bounds must be finite, not {self}")
+        if not all(abs(x) <= LARGEST for x in (*self.low, *self.high)):
+            raise ValueError(f"bounds must be finite, not {self}, in single precision")
         if any(low > high for low, high in zip(self.low, self.high, strict=True)):
             raise ValueError(f"bounds must not cross, as {self} do")
 
@@ -91,6 +94,6 @@ def action_bounds(space: Any) -> Bounds:
     if not space.is_bounded():
         raise ValueError(
             f"the environment's actions are not bounded ({space}); a filter needs finite bounds: "
-            "clip or rescale them in a wrapper"
+            "rescale them in a wrapper, and put ClipAction around the filter, not within it"
         )
     return Bounds.of(space.low, space.high)

@@ -140,11 +140,13 @@ class FinetunedGate:
     def correct(self, observation: Floats, action: Floats) -> Gated:
         """Equation (behavior_correction) with the critic of the moment."""
         raw, proposed = torch.from_numpy(observation), torch.from_numpy(action)
-        known = raw.isfinite().all(dim=-1) & proposed.isfinite().all(dim=-1)
         s = self._scaling.observation(raw)
-        s = torch.where(raw.isfinite() & s.isfinite(), s, 0.0)
+        seen = raw.isfinite() & s.isfinite()
+        s = torch.where(seen, s, 0.0)
         a = proposed.clamp(self._low, self._high)
-        critic = self.learner.critic.worst(s, self._scaling.action(a))
+        logits = self.learner.critic.logits(s, self._scaling.action(a))
+        known = seen.all(dim=-1) & proposed.isfinite().all(dim=-1) & logits.isfinite().all(dim=1)
+        critic = torch.sigmoid(logits.amax(dim=1))
         intervened = ~(known & (critic < self._limits))
         unit = self.learner.recovery.mean_action(s).nan_to_num(nan=0.0)
         recovery = self._scaling.raw_action(unit).clamp(self._low, self._high)

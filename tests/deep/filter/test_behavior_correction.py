@@ -10,6 +10,8 @@ import gymnasium
 import numpy as np
 import onnxruntime
 import pytest
+import safetensors.torch
+import torch
 from safetensors.numpy import save_file
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.vec_env import DummyVecEnv
@@ -153,6 +155,12 @@ def test_broken_files_are_refused(tmp_path: Path) -> None:
         SafetyFilter.load(path)
     save_file({"x": np.zeros(1)}, path, {"networks": '{"format": "dead-ends safety filter 2"}'})
     with pytest.raises(ValueError, match="the safety filter lacks 'actions'"):
+        SafetyFilter.load(path)
+    safetensors.torch.save_file({"x": torch.zeros(1, dtype=torch.bfloat16)}, path)
+    with pytest.raises(ValueError, match="filter.safetensors: arrays of type 'BF16', expected F32"):
+        SafetyFilter.load(path)
+    save_file({"x": np.zeros(1)}, path, {"networks": "[" * 100_000})
+    with pytest.raises(ValueError, match="filter.safetensors: the header is damaged"):
         SafetyFilter.load(path)
 
 

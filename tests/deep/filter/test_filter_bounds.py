@@ -19,6 +19,8 @@ import onnxruntime
 import pytest
 from gymnasium import spaces
 from gymnasium.vector import SyncVectorEnv
+from gymnasium.wrappers import ClipAction
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from numpy.typing import NDArray
 
 from deep.data.normalisation import Normalisation, ranges_of
@@ -112,6 +114,11 @@ def test_spaces_that_are_not_for_a_filter_are_refused_by_name() -> None:
         BehaviorCorrection(gymnasium.make("CartPole-v1"), lift_filter())
     with pytest.raises(ValueError, match="^the environment's actions are not bounded .*finite"):
         BehaviorCorrection(Room(box(-np.inf, np.inf)), lift_filter())
+    with pytest.raises(ValueError, match="put ClipAction around the filter"):
+        BehaviorCorrection(ClipAction(Room()), lift_filter())
+    clipped = ClipAction(BehaviorCorrection(Room(), lift_filter()))
+    clipped.reset()
+    assert clipped.step(np.array([99.0]))[-1]["executed_action"] == 3
     with pytest.raises(ValueError, match="^the environment's actions must be vectors"):
         BehaviorCorrection(Room(spaces.Box(-3.0, 3.0, (1, 1))), lift_filter())
     with pytest.raises(ValueError, match="^the environment's actions must be real numbers"):
@@ -357,6 +364,29 @@ def test_the_wrapper_is_made_again_from_its_spec() -> None:
             assert mine[4]["critic"] == its[4]["critic"]
 
 
+def test_what_a_vector_wrappers_spec_makes_is_protected_too() -> None:
+    """Gymnasium's specifications know no vector wrappers: the filter would be lost."""
+    bare = gymnasium.make_vec("deep/Brake-v0", 3, vectorization_mode="sync")
+    protected = BehaviorCorrectionVector(bare, brake_filter())
+    assert protected.spec is not None
+    assert bare.spec is not None
+    assert not bare.spec.additional_wrappers
+    again = gymnasium.make_vec(protected.spec)
+    actions = np.array([[1.0], [-0.5], [0.3]], dtype=np.float32)
+    for env in (protected, again):
+        env.reset(seed=3)
+    ended = np.zeros(3, dtype=np.bool_)
+    for _ in range(3):
+        mine, its = (env.step(actions) for env in (protected, again))
+        assert np.array_equal(mine[0], its[0])
+        if not ended.any():  # a copy that begins anew executes nothing
+            assert np.array_equal(mine[4]["executed_action"], its[4]["executed_action"])
+            assert mine[4]["intervened"].tolist() == [True, False, True]
+        ended = mine[2]
+    between = RecordEpisodeStatistics(gymnasium.make_vec("deep/Brake-v0", 3))
+    assert BehaviorCorrectionVector(between, brake_filter()).spec is None
+
+
 def test_a_filter_is_the_same_as_text_and_a_broken_one_is_refused() -> None:
     safety = random_filter()
     again = SafetyFilter.from_text(safety.to_text())
@@ -436,7 +466,7 @@ def test_files_of_another_version_and_bounds_that_make_no_sense_are_refused(
 
 
 def test_ranges_are_those_of_the_data_and_stated_bounds_hold_them() -> None:
-    from tests.deep.test_run import transitions  # actions from -1 to 1
+    from tests.deep.pretrain.test_run import transitions  # actions from -1 to 1
 
     data = transitions(np.random.default_rng(0).normal(size=(50, 2)))
     seen = Bounds.covered(data.observations)
@@ -447,3 +477,153 @@ def test_ranges_are_those_of_the_data_and_stated_bounds_hold_them() -> None:
         ranges_of(data, Bounds((-0.99,), (1.0,)))
     with pytest.raises(ValueError, match=r"^actions lie in R\^1, their bounds in R\^2$"):
         ranges_of(data, Bounds.unit(2))
+
+
+def test_rows_of_other_shapes_and_kinds_are_refused_and_never_stretched() -> None:
+    safety, seen, action = random_filter(), np.zeros((2, 3)), np.full((2, 2), 4.0)
+    for bad, message in (
+        (action[:, :1], r"^actions have shape \(2, 1\), expected \(n, 2\)$"),
+        (action[:, :, None], r"^actions have shape \(2, 2, 1\), expected \(n, 2\)$"),
+        (action[0], r"^actions have shape \(2,\), expected \(n, 2\)$"),
+        (action[:1], r"^there are 2 observations and 1 actions$"),
+        (None, r"^actions are of type object, not real numbers$"),
+        ([["4", "0"]] * 2, "^actions are of type <U1, not real numbers$"),
+        ([[10**400, 0]] * 2, "^actions are of type object, not real numbers$"),
+        (action * 1j, "^actions are of type complex128, not real numbers$"),
+        ([[1, 2], [3]], "^actions: the rows differ in length"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            safety.correct(seen, bad)  # type: ignore[arg-type]  # what an agent may send
+        with pytest.raises(ValueError, match=message):
+            safety.q(seen, bad)  # type: ignore[arg-type]  # likewise
+    for bad in (np.full((2, 1), np.nan), seen[0], seen[:, :2]):
+        with pytest.raises(ValueError, match=r"^observations have shape .*, expected \(n, 3\)$"):
+            safety.recovery_action(bad)
+    env = BehaviorCorrection(Room(shape=(1,)), lift_filter())
+    env.reset()
+    for wrong in (np.zeros(2), 0.5, None):
+        with pytest.raises(ValueError, match="^actions "):
+            env.step(wrong)  # type: ignore[arg-type]  # likewise
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_network_that_overflows_to_nothing_does_not_call_it_safe(
+    sign: float, tmp_path: Path
+) -> None:
+    """The sigmoid of minus infinity is 0."""
+    safety = linear_filter([10.0], 0.0, 0.0, 0.3)
+    two = tuple(np.concatenate([x, -x], axis=0) for x in safety.critic[0])
+    for critic in (safety.critic, (two,)):
+        safety = replace(safety, critic=critic)
+        shown, action = np.array([[sign * 3e38]], dtype=np.float32), np.zeros((1, 1), np.float32)
+        found = safety.correct(shown, action)
+        assert (found.critic[0], found.intervened[0], safety.q(shown, action)[0]) == (1, True, 1)
+        export_onnx(safety, tmp_path / "filter.onnx")
+        session = onnxruntime.InferenceSession(str(tmp_path / "filter.onnx"))
+        _, intervened, critic_value = session.run(None, {"observation": shown, "action": action})
+        assert (critic_value[0], intervened[0]) == (1, True)
+
+
+def test_an_observation_whose_power_overflows_is_not_judged(tmp_path: Path) -> None:
+    """A hidden unit would make 0 of minus infinity, and the critic a number of that."""
+    units = Normalisation((0.0,), (1.0,), (0.0,), (1.0,), (24.0,))
+    one = np.ones((1, 1, 1), dtype=np.float32)
+    hidden = (np.array([[[-1.0], [0.0]]], dtype=np.float32), 0 * one)
+    safety = replace(
+        linear_filter([0.0], 0.0, 0.0, 0.3, normalisation=units), critic=(hidden, (one, -5 * one))
+    )
+    shown, action = np.array([[0.5], [1e10]], dtype=np.float32), np.zeros((2, 1), np.float32)
+    found = safety.correct(shown, action)
+    assert found.intervened.tolist() == [False, True]
+    assert found.critic[1] == safety.q(shown, action)[1] == 1
+    export_onnx(safety, tmp_path / "filter.onnx")
+    session = onnxruntime.InferenceSession(str(tmp_path / "filter.onnx"))
+    _, intervened, _ = session.run(None, {"observation": shown, "action": action})
+    assert intervened.tolist() == [False, True]
+
+
+def test_numbers_that_single_precision_cannot_hold_are_refused() -> None:
+    with pytest.raises(
+        ValueError, match=r"bounds must be finite, not \(-1e\+300\) to \(1e\+300\), in single"
+    ):
+        Bounds((-1e300,), (1e300,))
+    with pytest.raises(ValueError, match="action: centres must be finite, scales positive"):
+        Normalisation((0.0,), (1.0,), (0.0,), (1e300,))
+    for scale in (1e-42, 1e-300):  # one over it is infinite
+        with pytest.raises(
+            ValueError, match="observation: centres must be finite, scales positive"
+        ):
+            Normalisation((0.0,), (scale,), (0.0,), (1.0,))
+    units = Normalisation((0.0,), (1e-36,), (0.0,), (1.0,))
+    with pytest.raises(ValueError, match="^critic: the scales are too small for its weights$"):
+        linear_filter([1e6], 0.0, 0.0, 0.0, normalisation=units)
+
+
+def test_an_action_that_is_one_number_is_executed_as_that_number() -> None:
+    """Neither 0.1 in double precision nor any number of a range around it is a float32."""
+    units = Normalisation((0.5,), (0.25,), (0.1,), (1.0,))
+    safety = linear_filter(
+        [0.0], 0.0, 5.0, 0.0, normalisation=units, actions=Bounds((0.1,), (0.1,))
+    )
+    single = SyncVectorEnv([lambda: Room(box(0.1, 0.1, np.float64))] * 2)
+    env = BehaviorCorrection(Room(box(0.1, 0.1, np.float64)), safety)
+    env.reset()
+    assert env.action_space.contains(env.step(np.array([0.1]))[-1]["executed_action"])
+    copies = BehaviorCorrectionVector(single, safety)
+    copies.reset()
+    executed = copies.step(np.full((2, 1), 0.1))[-1]["executed_action"]
+    assert copies.action_space.contains(executed)
+
+
+@pytest.mark.parametrize("wrong", [{"reach": x} for x in (0.0, -1.0, *BAD)] + [{"gamma_safe": 7.0}])
+def test_numbers_that_turn_the_recovery_around_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=f"^{next(iter(wrong))} must "):
+        replace(random_filter(), **wrong)
+
+
+def test_networks_of_the_other_kind_are_refused_before_the_first_step() -> None:
+    safety = random_filter()
+    several = tuple((w[None], b[None, None]) for w, b in safety.recovery)
+    with pytest.raises(ValueError, match="^recovery: layer 0 holds several networks, expected one"):
+        replace(safety, recovery=several)
+    one = tuple((w[0], b[0, 0]) for w, b in safety.critic)
+    with pytest.raises(ValueError, match="^critic: layer 0 holds one network, expected several"):
+        replace(safety, critic=one)
+    none = tuple((w[:0], b[:0]) for w, b in safety.critic)
+    with pytest.raises(ValueError, match="^critic: layer 0 holds no network"):
+        replace(safety, critic=none)
+    double = tuple((w.astype(float), b.astype(float)) for w, b in safety.critic)
+    with pytest.raises(ValueError, match="^critic: layer 0 is of type float64, expected float32$"):
+        replace(safety, critic=double)
+
+
+@pytest.mark.parametrize(
+    "lie",
+    [
+        {"normalisation": []},
+        {"normalisation": {"observation_centre": []}},
+        {"actions": []},
+        {"actions": {"low": "ab", "high": "cd"}},
+        {"actions": {"low": [3, -1], "high": [7, None]}},
+        {"observations": {"low": [[0]] * 3, "high": [[1]] * 3}},
+        {"seed": float("inf")},
+        {"threshold": 10**400},
+        {"threshold": None},
+        {"normalisation": {name: [] for name in vars(Normalisation.identity(1, 1))}},
+    ],
+)
+def test_a_header_that_lies_is_one_sentence_with_the_file(
+    lie: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    safety, path = random_filter(), tmp_path / "filter.safetensors"
+    told = safety._rest() | lie
+    monkeypatch.setattr(SafetyFilter, "_rest", lambda _: told)
+    safety.save(path)
+    with pytest.raises(ValueError, match=r"filter.safetensors: ") as found:
+        SafetyFilter.load(path)
+    assert "ufunc" not in str(found.value)
+
+
+def test_a_path_is_no_filter_as_text() -> None:
+    with pytest.raises(ValueError, match=r"^not a safety filter as text.*SafetyFilter\.load"):
+        BehaviorCorrection(Room(), "runs/lift/filters/seed0.safetensors")

@@ -144,7 +144,7 @@ def test_layers_for_raw_inputs_are_the_same_function(members: int | None) -> Non
     centre, scale = np.array([1.0, -2.0, 0.5]), np.array([3.0, 0.5, 1.0])
     x = rng.standard_normal((20, 3)).astype(np.float32)
     scaled = ((x - centre) / scale).astype(np.float32)
-    found = forward(for_raw_inputs(made, centre, scale), x)
+    found = forward(for_raw_inputs("policy", made, centre, scale), x)
     assert found.shape == (*lead, 20, 2)
     assert found == pytest.approx(forward(made, scaled), abs=1e-4)
     assert all(array.dtype == np.float32 for layer in made for array in layer)
@@ -166,7 +166,7 @@ def test_layers_that_do_not_fit_are_refused() -> None:
             check_layers("policy", good, inputs, outputs)
     with pytest.raises(ValueError, match="^policy: the layers do not fit each other$"):
         check_layers("policy", (good[0], good[2]), 3, 4)
-    with pytest.raises(ValueError, match="^policy: the layers do not fit each other$"):
+    with pytest.raises(ValueError, match="^policy: layer 1 holds several networks, expected one$"):
         check_layers("policy", (good[0], *((w[None], b[None, None]) for w, b in good[1:])), 3, 4)
     (weights, biases), *others = good
     for shape in ((1, 8), (3,), ()):

@@ -115,6 +115,19 @@ def test_a_log_from_elsewhere_is_noticed() -> None:
         check_filter(linear_filter([1.0, 1.0], 0.0, 0.0, 0.0), log(), 3)
 
 
+def test_a_log_in_other_action_units_is_refused() -> None:
+    """Its actions would be moved to the bounds, and the shares those of other actions."""
+    safety = step_at(8, -1)  # actions in [-1, 1]
+    far = replace(log(), actions=np.linspace(-3.0, 1.0, 35)[:, None])
+    message = r"^the log has actions in \(-3\) to \(1\), the filter was trained on \(-1\) to \(1\)$"
+    with pytest.raises(ValueError, match=message):
+        check_filter(safety, far, 3)
+    near = replace(log(), actions=np.linspace(-1.09, 1.0, 35)[:, None])  # 5% of the range
+    assert check_filter(safety, near, 3).fault is None
+    with pytest.raises(ValueError, match="^horizon must not be negative, not -1$"):
+        check_filter(safety, log(), -1)
+
+
 def test_long_logs_are_asked_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = check_filter(step_at(8, -1), log(), 3)
     monkeypatch.setattr(health, "ROWS", 4)

@@ -192,9 +192,28 @@ def test_a_critic_that_is_no_number_or_at_the_threshold_lets_nothing_through(rrl
             parameter.zero_()  # Q = 1/2 everywhere
     at = FinetunedGate(gate.learner, (0.5, 0.50001), Scaling(UNITS), RANGES, 0.9, gate._offline)
     assert at.correct(s, a).intervened.mean(axis=1).tolist() == [1, 0]
+    over = FinetunedGate(
+        gate.learner, (0.50001, 0.50001), Scaling(UNITS), RANGES, 0.9, gate._offline
+    )
+    assert over.correct(s, a).intervened.mean(axis=1).tolist() == [0, 0]
+    for bad in (torch.nan, torch.inf, -torch.inf):  # a sigmoid of 0 would be no proof of safety
+        with torch.no_grad():
+            gate.learner.critic.mlp.biases[-1][0] = bad
+        assert over.correct(s, a).intervened.mean(axis=1).tolist() == [1, 0]
+
+
+def test_an_observation_whose_power_overflows_is_not_judged_as_the_mean(rrl: Path) -> None:
+    gate = rescaled(rrl)
     with torch.no_grad():
-        gate.learner.critic.mlp.biases[-1][0] = torch.nan
-    assert at.correct(s, a).intervened.mean(axis=1).tolist() == [1, 0]
+        for parameter in gate.learner.critic.parameters():
+            parameter.zero_()
+    units = [replace(n, observation_power=(24.0, 1.0)) for n in UNITS]
+    sharp = FinetunedGate(gate.learner, (0.6, 0.6), Scaling(units), RANGES, 0.9, gate._offline)
+    s, a = observations()
+    s[:, 0, 0] = 1e10
+    found = sharp.correct(s, a).intervened
+    assert found[:, 0].all()
+    assert not found[:, 1:].any()
 
 
 def test_rrl_learns_from_executed_actions_half_of_them_offline(
