@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from dead_ends.envs.safe_mdp_env import SafeMDPEnv
-from dead_ends.io.estimation import estimate_model
 from dead_ends.io import NoFailureWarning, load_model
 from dead_ends.io.environment_model import EnvironmentModel
 from dead_ends.io.errors import MissingDependencyError
+from dead_ends.io.estimation import estimate_model
 from dead_ends.io.explore import explore, explore_minigrid, minigrid_key
 from dead_ends.io.gymnasium_table import make_environment
 from dead_ends.labels.classification import classify
