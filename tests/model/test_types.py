@@ -16,14 +16,14 @@ from dead_ends import SafeMDP, classify, greedy_actions
 
 TYPES = ("SafeMDP", "Values", "Labelling", "Certificate", "ExpectedSurvival")
 ELSEWHERE = (
-    "animation.animate_runs",
+    "draw.animation.animate_runs",
     "envs.safe_mdp_env.SafeMDPEnv",
     "io.labelling.save_labelling",
     "io.networkx_graph.to_networkx",
-    "plot.plot_boundaries",
-    "plot.plot_map",
-    "report.report_page",
-    "statements.report.verify_report",
+    "draw.pictures.plot_boundaries",
+    "draw.pictures.plot_map",
+    "draw.page.report_page",
+    "paper.verification.verify_report",
 )
 
 
