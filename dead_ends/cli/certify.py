@@ -20,7 +20,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     check_output(arguments.out, arguments.file)
     certificate = certify(read_source(arguments))
-    save_certificate(arguments.out, certificate)
+    save_certificate(certificate, arguments.out)
     print(f"wrote {arguments.out}")
     print_rows([("model", f"sha256 {certificate.digest}")])
     return 0

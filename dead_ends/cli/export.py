@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
         "exact": critic.exact,
     }
     table = safety_filter(model, critic, threshold, metadata)
-    save_filter(arguments.out, table)
+    save_filter(table, arguments.out)
     passing = f"{int(table.allowed.sum()):,} of {table.allowed.size:,} actions pass"
     print(f"wrote {arguments.out}: {passing}")
     if model.estimate:

@@ -51,7 +51,7 @@ _KNOWN = {
 }
 
 
-def save_npz(path: str | os.PathLike[str], model: SafeMDP) -> None:
+def save_npz(model: SafeMDP, path: str | os.PathLike[str]) -> None:
     """Write a model so that :func:`load_npz` gives it back.
 
     Raises:

@@ -360,5 +360,6 @@ _MADE_BY = {
     "Values": " (value_iteration and evaluate_policy make them)",
     "Labelling": " (classify makes one)",
     "Certificate": " (certify makes one)",
+    "FilterTable": " (safety_filter makes one)",
     "ExpectedSurvival": " (expected_survival makes one)",
 }

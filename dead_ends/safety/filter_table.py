@@ -33,6 +33,7 @@ from dead_ends.io.environment_model import canonical_key, key_text
 from dead_ends.io.errors import located
 from dead_ends.io.npz import read_arrays
 from dead_ends.model.checks import plain_array
+from dead_ends.model.safe_mdp import require_type
 
 __all__ = ["FilterTable", "load_filter", "save_filter"]
 
@@ -87,16 +88,17 @@ class FilterTable:
         return {key: state for state, key in enumerate(self.keys or ())}
 
 
-def save_filter(path: str | os.PathLike[str], table: FilterTable) -> None:
+def save_filter(table: FilterTable, path: str | os.PathLike[str]) -> None:
     """Write a safety filter to an npz or a JSON file, by the suffix; whole or not at all.
 
     Args:
-        path: a name that ends in .npz or .json.
         table: the filter, as :func:`dead_ends.safety_filter` gives.
+        path: a name that ends in .npz or .json.
 
     Raises:
         ValueError: for another suffix, or metadata that is not JSON.
     """
+    require_type(table, FilterTable, "save_filter")
     write = {".npz": _write_npz, ".json": _write_json}[_suffix(path)]
     try:
         description = json.dumps(dict(table.metadata))

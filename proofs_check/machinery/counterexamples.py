@@ -121,7 +121,7 @@ def save(row: Row, case: Case) -> None:
     MODELS.mkdir(exist_ok=True)
     FIGURES.mkdir(exist_ok=True)
     model = named(case)
-    save_npz(model_path, model)
+    save_npz(model, model_path)
     with atomic_path(figure_path) as temporary:
         draw(row, case).savefig(temporary, dpi=110, metadata={"Model": digest(model)})
 

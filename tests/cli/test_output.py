@@ -20,7 +20,7 @@ def _files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     model = SafeMDP.deterministic([[0, 1], [1, 1]], [False, True], state_names=["a", "b"])
     for suffix in ("npz", "tra"):
-        save_model(f"model.{suffix}", model)
+        save_model(model, f"model.{suffix}")
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:

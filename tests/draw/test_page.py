@@ -152,7 +152,7 @@ def test_the_layout_gives_every_state_a_cell_of_its_own() -> None:
 
 def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model, policy, page = tmp_path / "m.npz", tmp_path / "lazy.npy", tmp_path / "m.html"
-    save_npz(model, brake(LATTICE))
+    save_npz(brake(LATTICE), model)
     np.save(policy, np.zeros(LATTICE.shape[0] * LATTICE.shape[1], dtype=int))
     assert main(["report", str(model), "--out", str(page), "--policy", str(policy)]) == 0
     assert '"name":"lazy"' in page.read_text()

@@ -14,7 +14,7 @@ import pytest
 import dead_ends
 from dead_ends import SafeMDP, classify, greedy_actions
 
-TYPES = ("SafeMDP", "Values", "Labelling", "Certificate", "ExpectedSurvival")
+TYPES = ("SafeMDP", "Values", "Labelling", "Certificate", "FilterTable", "ExpectedSurvival")
 ELSEWHERE = (
     "draw.animation.animate_runs",
     "envs.safe_mdp_env.SafeMDPEnv",

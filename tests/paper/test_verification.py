@@ -129,7 +129,7 @@ def test_a_wrong_threshold_is_refused() -> None:
 
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "model.npz"
-    save_npz(path, rrl_model())
+    save_npz(rrl_model(), path)
     np.save(tmp_path / "policy.npy", np.array([1, 1, 0, 0, 0]))
     assert main(["verify", str(path)]) == 0
     printed = capsys.readouterr().out
@@ -151,7 +151,7 @@ def test_a_policy_that_cannot_be_read(
     content: bytes | None, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "model.npz"
-    save_npz(path, rrl_model())
+    save_npz(rrl_model(), path)
     policy = tmp_path / "policy.npy"
     if content is not None:
         policy.write_bytes(content)
