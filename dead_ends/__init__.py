@@ -61,6 +61,7 @@ _NAMES = {
         "corrected_model",
         "safety_filter",
     ),
+    "safety.critics": ("unguarded",),
     "safety.explanation": (
         "Explanation",
         "explain",
@@ -136,6 +137,7 @@ if TYPE_CHECKING:
     from dead_ends.safety.correction import behavior_correction as behavior_correction
     from dead_ends.safety.correction import corrected_model as corrected_model
     from dead_ends.safety.correction import safety_filter as safety_filter
+    from dead_ends.safety.critics import unguarded as unguarded
     from dead_ends.safety.explanation import Explanation as Explanation
     from dead_ends.safety.explanation import explain as explain
     from dead_ends.safety.filter_table import FilterTable as FilterTable

@@ -31,27 +31,26 @@ from dead_ends.labels.classification import safe_actions
 from dead_ends.model.checks import plain_array
 from dead_ends.model.policy_table import as_distribution
 from dead_ends.model.safe_mdp import SafeMDP, require_type
+from dead_ends.safety.critics import Unguarded, critic_table, require_critic
 from dead_ends.safety.filter_table import FilterTable
-from dead_ends.safety.policies import (
-    Critic,
-    allowed_actions,
-    checked_policy,
-    critic_table,
-    recovery_policy,
-)
+from dead_ends.safety.policies import allowed_actions, checked_policy, recovery_policy
 from dead_ends.values.bellman import value_iteration
+from dead_ends.values.values import Values
 
 __all__ = ["behavior_correction", "corrected_model", "safety_filter"]
 
 
 def behavior_correction(
-    policy: ArrayLike, Q: Critic, epsilon_safe: float | Fraction, recovery: ArrayLike
+    policy: ArrayLike,
+    Q: Values | Unguarded,
+    epsilon_safe: float | Fraction,
+    recovery: ArrayLike,
 ) -> NDArray[Any]:
     """The policy that is executed when a task policy's proposals are corrected.
 
     Args:
         policy: the task policy, int (S,) or float or Fraction (S, A).
-        Q: the safety critic (S, A).
+        Q: the safety critic (S, A): Values, or :func:`dead_ends.unguarded` of a bare table.
         epsilon_safe: actions with Q(s, a) < epsilon_safe pass.
         recovery: the recovery policy, in either form; independent of the task policy's draw.
 
@@ -65,6 +64,7 @@ def behavior_correction(
         ValueError: as :func:`dead_ends.allowed_actions`; if shapes do not fit; if the
             recovery policy is needed and takes an action that is not available (Q = +inf).
     """
+    require_critic(Q, "behavior_correction")
     allowed = allowed_actions(Q, epsilon_safe)
     table = critic_table(Q)
     task = checked_policy(policy, table)
@@ -84,7 +84,7 @@ def behavior_correction(
 
 def corrected_model(
     model: SafeMDP,
-    Q: Critic,
+    Q: Values | Unguarded,
     epsilon_safe: float | Fraction,
     recovery: ArrayLike | None = None,
 ) -> SafeMDP:
@@ -92,7 +92,7 @@ def corrected_model(
 
     Args:
         model: the model.
-        Q: the safety critic (S, A).
+        Q: the safety critic (S, A): Values, or :func:`dead_ends.unguarded` of a bare table.
         epsilon_safe: actions with Q(s, a) < epsilon_safe pass.
         recovery: int (S,), the action executed instead of a blocked one; None takes
             ``recovery_policy(Q)``.
@@ -108,6 +108,7 @@ def corrected_model(
             recovery policy is needed in a state where its action is not available.
     """
     require_type(model, SafeMDP, "corrected_model")
+    require_critic(Q, "corrected_model")
     allowed = allowed_actions(Q, epsilon_safe)
     if allowed.shape != (model.num_states, model.num_actions):
         raise ValueError(
@@ -134,7 +135,7 @@ def corrected_model(
 
 def safety_filter(
     model: SafeMDP,
-    Q: Critic | None = None,
+    Q: Values | Unguarded | None = None,
     epsilon_safe: float | Fraction | None = None,
     metadata: Mapping[str, Any] | None = None,
 ) -> FilterTable:
@@ -142,7 +143,8 @@ def safety_filter(
 
     Args:
         model: the model.
-        Q: the safety critic (S, A); None takes ``value_iteration(model)``.
+        Q: the safety critic (S, A): Values, or :func:`dead_ends.unguarded` of a bare table;
+            None takes ``value_iteration(model)``.
         epsilon_safe: actions with Q(s, a) < epsilon_safe pass; None: exactly the actions that
             keep a safe state safe, decided from the graph.
         metadata: JSON values that say how the table is made.
@@ -157,6 +159,7 @@ def safety_filter(
     """
     require_type(model, SafeMDP, "safety_filter")
     critic = value_iteration(model) if Q is None else Q
+    require_critic(critic, "safety_filter")
     stays = safe_actions(model)
     allowed = stays if epsilon_safe is None else allowed_actions(critic, epsilon_safe)
     recovery = np.where(stays.any(axis=1), stays.argmax(axis=1), recovery_policy(critic))

@@ -18,6 +18,7 @@ from dead_ends.envs.brake import BrakeLattice, brake, late_braker
 from dead_ends.envs.lifegate import lifegate
 from dead_ends.io.npz import save_npz
 from dead_ends.model.digest import model_digest
+from dead_ends.safety.critics import unguarded
 
 LATTICE = BrakeLattice(max_distance=60, max_speed=10, obstacle_depth=3)
 BROWSER_OPTIONS = (
@@ -64,18 +65,18 @@ def test_the_gate_on_the_page_is_the_gate_of_the_library(browser: Any, tmp_path:
         browser, tmp_path / "brake.html", report_page(model, "brake", {"late": policy})
     )
     critics = {
-        "best policy, Q*": value_iteration(model, 0.99).Q,
-        "late": evaluate_policy(model, policy, 0.99).Q,
+        "best policy, Q*": value_iteration(model, 0.99),
+        "late": evaluate_policy(model, policy, 0.99),
     }
     horizon = classify(model).boundary_horizon
     assert horizon is not None
-    for name, Q in critics.items():
+    for name, critic in critics.items():
         find("critic").send_keys(name)
         for epsilon in (0.99**horizon, np.nextafter(0.99**horizon, 1), 0.3):
             box = find("epsilonValue")
             box.clear()
             box.send_keys(f"{float(epsilon)!r}\n")
-            count = conservatism(model, Q, epsilon)
+            count = conservatism(model, unguarded(critic.Q), epsilon)
             assert gate_counts(find) == [
                 (count.blocked_safe_actions, count.safe_actions),
                 (count.missed_unsafe_actions, count.unsafe_actions),
