@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dead_ends import FilterTable, SafeMDP, load_filter, save_filter, save_model
+from dead_ends import SafeMDP, load_filter, save_filter, save_model
 from dead_ends.__main__ import main
+from dead_ends.safety.filter_table import FilterTable
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

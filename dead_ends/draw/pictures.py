@@ -1,6 +1,6 @@
 """Pictures: results in, :class:`matplotlib.figure.Figure` out. Nothing is solved or saved here.
 
-A model is drawn cell by cell through its :class:`dead_ends.Geometry`. The colors are
+A model is drawn cell by cell through its :class:`dead_ends.model.safe_mdp.Geometry`. The colors are
 distinguishable with every common color blindness and in grey (Okabe and Ito's palette); each
 subset is named in the picture besides.
 """

@@ -175,7 +175,7 @@ def dea_rrl_expectile(
         gamma_safe: the discount of the cost; a Fraction makes the critic exact.
 
     Raises:
-        ValueError: as :func:`dead_ends.expectile_iteration`.
+        ValueError: as :func:`dead_ends.values.expectile.expectile_iteration`.
     """
     require_type(model, SafeMDP, "dea_rrl_expectile")
     critic = expectile_iteration(model, data_policy, expectile, gamma_safe)

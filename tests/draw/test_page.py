@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dead_ends import SafeMDP, classify, conservatism, evaluate_policy, value_iteration
+from dead_ends import SafeMDP, classify, evaluate_policy, value_iteration
 from dead_ends.__main__ import main
 from dead_ends.draw.page import MAX_STATES, layout_by_survival_time, report_page
 from dead_ends.envs.brake import BrakeLattice, brake, late_braker
 from dead_ends.envs.lifegate import lifegate
 from dead_ends.io.npz import save_npz
 from dead_ends.model.digest import model_digest
+from dead_ends.paper import conservatism
 from dead_ends.safety.critics import unguarded
 
 LATTICE = BrakeLattice(max_distance=60, max_speed=10, obstacle_depth=3)

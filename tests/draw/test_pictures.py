@@ -7,11 +7,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dead_ends import Geometry, SafeMDP, classify
+from dead_ends import SafeMDP, classify
 from dead_ends.draw.animation import Run, animate_runs
 from dead_ends.draw.pictures import Blocked, Boundary, plot_boundaries, plot_map
 from dead_ends.envs.brake import BrakeLattice, brake
 from dead_ends.labels.labelling import Label
+from dead_ends.model.safe_mdp import Geometry
 
 
 def row_of_cells(cells: list[tuple[int, int]] | None = None) -> SafeMDP:
