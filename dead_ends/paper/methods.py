@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dead_ends.labels.classification import classify, safe_actions
-from dead_ends.model.checks import plain_array
+from dead_ends.model.checks import plain_array, read_only
 from dead_ends.model.safe_mdp import SafeMDP, require_type
 from dead_ends.safety.critics import Unguarded, require_critic
 from dead_ends.safety.policies import allowed_actions, recovery_policy
@@ -218,9 +218,7 @@ def conservatism(
 
 
 def _method(name: str, critic: Values) -> Method:
-    recovery = recovery_policy(critic)
-    recovery.flags.writeable = False
-    return Method(name, critic, recovery)
+    return Method(name, critic, read_only(recovery_policy(critic)))
 
 
 def _improve(critic: Values, policy: NDArray[Any]) -> NDArray[Any]:

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dead_ends.io.environment_model import EnvironmentModel, key_text
 from dead_ends.labels.classification import safe_actions
-from dead_ends.model.checks import plain_array
+from dead_ends.model.checks import plain_array, read_only
 from dead_ends.model.policy_table import as_distribution
 from dead_ends.model.safe_mdp import SafeMDP, require_type
 from dead_ends.safety.critics import Unguarded, critic_table, require_critic
@@ -37,7 +37,21 @@ from dead_ends.safety.policies import allowed_actions, checked_policy, recovery_
 from dead_ends.values.bellman import value_iteration
 from dead_ends.values.values import Values
 
-__all__ = ["behavior_correction", "corrected_model", "safety_filter"]
+__all__ = ["behavior_correction", "corrected_actions", "corrected_model", "safety_filter"]
+
+
+def corrected_actions(
+    allowed: NDArray[np.bool_], recovery: NDArray[Any], states: ArrayLike, proposed: ArrayLike
+) -> NDArray[Any]:
+    """The proposed actions where they are allowed, else the recovery policy's.
+
+    Args:
+        allowed: bool (S, A), the actions that pass.
+        recovery: int (S,), what is executed instead of the others.
+        states, proposed: ints that broadcast against each other.
+    """
+    states, proposed = np.asarray(states), np.asarray(proposed)
+    return np.where(allowed[states, proposed], proposed, recovery[states])
 
 
 def behavior_correction(
@@ -72,7 +86,7 @@ def behavior_correction(
     if task.ndim == 1 and rec.ndim == 1:
         states = np.arange(len(table))
         _check_recovery(~allowed[states, task], rec, table)
-        return np.where(allowed[states, task], task, rec)
+        return corrected_actions(allowed, rec, states, task)
     shares, rec_shares = (_shares(each, allowed.shape[1]) for each in (task, rec))
     passing = np.where(allowed, shares, 0)
     blocked = np.where(allowed, 0, shares).sum(axis=1, keepdims=True)
@@ -115,12 +129,13 @@ def corrected_model(
             f"Q must have shape ({model.num_states}, {model.num_actions}), not {allowed.shape}"
         )
     rec = recovery_policy(Q) if recovery is None else _recovery_indices(recovery, model)
-    corrected = _corrected(model, allowed, rec)
-    states = np.arange(model.num_states)
+    states = np.arange(model.num_states)[:, None]
+    passes = ~_corrected(model, allowed, rec)
+    taken = corrected_actions(passes, rec, states, np.arange(model.num_actions))
 
     def executed(table: NDArray[Any]) -> NDArray[Any]:
         """table[s, executed action] for every proposed action."""
-        return _read_only(np.where(corrected, table[states, rec][:, None], table))
+        return read_only(table[states, taken])
 
     rewards = None if model.rewards is None else executed(model.rewards)
     if model.next_state is not None:
@@ -226,8 +241,3 @@ def _check_recovery(needed: NDArray[np.bool_], recovery: NDArray[Any], table: ND
         raise ValueError(
             f"recovery: state {state}, action {action} is not available there (Q = +inf)"
         )
-
-
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    array.flags.writeable = False
-    return array

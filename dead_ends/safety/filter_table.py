@@ -32,7 +32,7 @@ from dead_ends.io.atomic import atomic_path
 from dead_ends.io.environment_model import canonical_key, key_text
 from dead_ends.io.errors import located
 from dead_ends.io.npz import read_arrays
-from dead_ends.model.checks import plain_array
+from dead_ends.model.checks import plain_array, read_only
 from dead_ends.model.safe_mdp import require_type
 
 __all__ = ["FilterTable", "load_filter", "save_filter"]
@@ -176,7 +176,7 @@ def _allowed(array: NDArray[Any]) -> NDArray[np.bool_]:
         raise ValueError(f"allowed must be boolean, not {array.dtype}")
     if array.ndim != 2 or 0 in array.shape:
         raise ValueError(f"allowed must have shape (S, A), not {array.shape}")
-    return _frozen(array.copy())
+    return read_only(array.copy())
 
 
 def _recovery(array: NDArray[Any], num_states: int, num_actions: int) -> NDArray[np.int64]:
@@ -190,7 +190,7 @@ def _recovery(array: NDArray[Any], num_states: int, num_actions: int) -> NDArray
             f"recovery: state {bad[0]} has action {array[bad[0]]}, "
             f"but actions are 0 to {num_actions - 1}"
         )
-    return _frozen(array.astype(np.int64))
+    return read_only(array.astype(np.int64))
 
 
 def _names(table: FilterTable) -> dict[str, list[str]]:
@@ -207,8 +207,3 @@ def _strings(strings: Any, name: str, least: int, most: int) -> tuple[str, ...] 
     if not least <= len(strings) <= most:
         raise ValueError(f"{name} must have {most} entries, not {len(strings)}")
     return tuple(strings)
-
-
-def _frozen(array: NDArray[Any]) -> NDArray[Any]:
-    array.flags.writeable = False
-    return array

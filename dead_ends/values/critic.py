@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dead_ends.labels.labelling import INFINITE
+from dead_ends.model.checks import read_only
 from dead_ends.model.safe_mdp import SafeMDP
 from dead_ends.values.conventions import CriticConvention, ValueConvention
 from dead_ends.values.discount import Discount, Powers, power_table, read_discount
@@ -257,7 +258,7 @@ def _values(
     Q: tuple[NDArray[Any], ...],
 ) -> Values:
     for array in (*V, *Q):
-        array.flags.writeable = False
+        read_only(array)
     return Values(
         V=V[1],
         Q=Q[1],

@@ -18,7 +18,12 @@ from dead_ends.io.environment_model import Ended, model_of_environment
 from dead_ends.labels.classification import classify, safe_actions
 from dead_ends.labels.labelling import INFINITE
 from dead_ends.model.safe_mdp import Geometry, SafeMDP
-from dead_ends.safety.correction import behavior_correction, corrected_model, safety_filter
+from dead_ends.safety.correction import (
+    behavior_correction,
+    corrected_actions,
+    corrected_model,
+    safety_filter,
+)
 from dead_ends.safety.critics import unguarded
 from dead_ends.safety.policies import greedy_actions
 
@@ -217,7 +222,16 @@ def test_integer_and_stochastic_forms_agree(data: st.DataObject) -> None:
             assert behavior_correction(policy, unguarded(Q), epsilon, rec).tolist() == expected
 
 
-# corrected_model
+# corrected_actions, corrected_model
+
+
+def test_a_blocked_action_is_replaced() -> None:
+    allowed = np.array([[True, False], [False, False]])
+    recovery = np.array([0, 1])
+    every = corrected_actions(allowed, recovery, np.arange(2)[:, None], np.arange(2))
+    assert every.tolist() == [[0, 0], [1, 1]]
+    assert corrected_actions(allowed, recovery, [0, 0, 1], [0, 1, 0]).tolist() == [0, 0, 1]
+    assert corrected_actions(allowed, recovery, 1, 0) == 1
 
 
 def test_the_corrected_table_and_its_rewards() -> None:
