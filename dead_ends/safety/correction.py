@@ -28,8 +28,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from dead_ends.io.environment_model import EnvironmentModel, key_text
 from dead_ends.labels.classification import safe_actions
-from dead_ends.model.checks import plain_array, read_only
-from dead_ends.model.policy_table import as_distribution
+from dead_ends.model.checks import Names, read_only
+from dead_ends.model.policy_table import as_distribution, check_actions
 from dead_ends.model.safe_mdp import SafeMDP, require_type
 from dead_ends.safety.critics import Unguarded, critic_table, require_critic
 from dead_ends.safety.filter_table import FilterTable
@@ -128,7 +128,8 @@ def corrected_model(
         raise ValueError(
             f"Q must have shape ({model.num_states}, {model.num_actions}), not {allowed.shape}"
         )
-    rec = recovery_policy(Q) if recovery is None else _recovery_indices(recovery, model)
+    names = Names(model.state_names, model.action_names, *allowed.shape)
+    rec = check_actions("recovery", recovery_policy(Q) if recovery is None else recovery, names)
     states = np.arange(model.num_states)[:, None]
     passes = ~_corrected(model, allowed, rec)
     taken = corrected_actions(passes, rec, states, np.arange(model.num_actions))
@@ -206,22 +207,6 @@ def _corrected(
             f"{model.action_name(int(rec[state]))}, which is not available there"
         )
     return corrected
-
-
-def _recovery_indices(recovery: ArrayLike, model: SafeMDP) -> NDArray[np.integer[Any]]:
-    rec = plain_array("recovery", recovery)
-    if rec.shape != (model.num_states,) or not np.issubdtype(rec.dtype, np.integer):
-        raise ValueError(
-            f"recovery must be integers of shape ({model.num_states},), "
-            f"not {rec.dtype} of shape {rec.shape}"
-        )
-    bad = np.flatnonzero((rec < 0) | (rec >= model.num_actions))
-    if len(bad):
-        raise ValueError(
-            f"recovery: {model.state_name(int(bad[0]))}: action {rec[bad[0]]} is not one of "
-            f"0 to {model.num_actions - 1}"
-        )
-    return rec
 
 
 def _shares(policy: NDArray[Any], num_actions: int) -> NDArray[Any]:

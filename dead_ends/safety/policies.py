@@ -26,8 +26,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dead_ends.model.checks import ROW_SUM_TOLERANCE, plain_array
-from dead_ends.model.policy_table import as_distribution
+from dead_ends.model.checks import Names, plain_array
+from dead_ends.model.policy_table import as_distribution, check_table
 from dead_ends.safety.critics import Unguarded, critic_table, require_critic
 from dead_ends.values.precision import UndecidedError
 from dead_ends.values.values import Values
@@ -178,32 +178,9 @@ def checked_policy(policy: ArrayLike, table: NDArray[Any], what: str = "policy")
     Raises:
         ValueError: naming the state and action.
     """
-    array = plain_array(what, policy)
-    acts = np.asarray((table < math.inf).any(axis=1))
-    if array.shape == table.shape[:1] and np.issubdtype(array.dtype, np.integer):
-        wrong = np.flatnonzero(acts & ((array < 0) | (array >= table.shape[1])))
-        if len(wrong):
-            raise ValueError(
-                f"{what}: state {wrong[0]}: there is no action {array[wrong[0]]} "
-                f"(0 to {table.shape[1] - 1})"
-            )
-        return np.where(acts, array, 0)
-    if array.shape != table.shape or array.dtype.kind not in "iufO":
-        raise ValueError(
-            f"{what} must be integers {table.shape[:1]} or probabilities {table.shape}, "
-            f"not {array.dtype} {array.shape}"
-        )
-    negative = np.argwhere(acts[:, None] & ~np.asarray(array >= 0, dtype=np.bool_))
-    if len(negative):
-        state, action = negative[0]
-        raise ValueError(
-            f"{what}: state {state}, action {action}: probability {array[state, action]}"
-        )
-    sums = array.sum(axis=1)
-    off = np.flatnonzero(acts & ~np.asarray(abs(sums - 1) <= ROW_SUM_TOLERANCE, dtype=np.bool_))
-    if len(off):
-        raise ValueError(f"{what}: state {off[0]}: probabilities sum to {sums[off[0]]}, not 1")
-    return array
+    acts = np.asarray((table < math.inf).any(axis=1), dtype=np.bool_)
+    every = np.ones(table.shape, dtype=np.bool_)
+    return check_table(what, policy, acts, every, Names(None, None, *table.shape))
 
 
 def _read_threshold(epsilon_safe: float | Fraction, table: NDArray[Any]) -> float | Fraction:

@@ -323,7 +323,7 @@ def test_corrected_model_names_what_is_wrong() -> None:
     with pytest.raises(ValueError, match=r"^recovery must be integers of shape \(5,\), not float"):
         corrected_model(model, unguarded(Q), 0.5, np.zeros((5, 2)))
     with pytest.raises(
-        ValueError, match=r"^recovery: state 1 \(q\): action 2 is not one of 0 to 1$"
+        ValueError, match=r"^recovery: state 1 \(q\): there is no action 2 \(0 to 1\)$"
     ):
         corrected_model(model, unguarded(Q), 0.5, np.array([0, 2, 0, 0, 0]))
     partial = SafeMDP.deterministic(np.array([[0, -1], [1, 1]]), np.array([False, True]))
@@ -352,7 +352,9 @@ def test_the_recovery_is_only_needed_where_something_is_proposed_and_blocked() -
 def test_a_recovery_action_that_does_not_exist_is_named_with_its_first_state() -> None:
     model = rrl_counterexample()
     for wrong, action in (([0, 0, -1, 2, 0], -1), ([0, 0, 2, -1, 5], 2)):
-        with pytest.raises(ValueError, match=rf"^recovery: state 2 \(d2\): action {action} is not"):
+        with pytest.raises(
+            ValueError, match=rf"^recovery: state 2 \(d2\): there is no action {action} \("
+        ):
             corrected_model(model, unguarded(np.zeros((5, 2))), 0.5, np.array(wrong))
     for shape in (np.zeros(4, dtype=int), np.zeros((5, 1), dtype=int), np.zeros(5)):
         with pytest.raises(ValueError, match=r"^recovery must be integers of shape \(5,\), not "):
