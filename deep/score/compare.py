@@ -21,9 +21,9 @@ from dead_ends.io.atomic import atomic_path
 from deep.data.collect import Policy, random_policy, sb3_policy, towards_obstacle_policy
 from deep.filter.safety_filter import SafetyFilter
 from deep.filter.thresholds import paper_threshold
-from deep.pretrain import SETTINGS
-from deep.pretrain.config import Mix, PretrainConfig
-from deep.pretrain.run import pretrain
+from deep.pretraining import SETTINGS
+from deep.pretraining.config import Mix, PretrainConfig
+from deep.pretraining.run import pretrain_in_folder
 from deep.score.boundary import (
     BoundaryScore,
     ClosedLoop,
@@ -197,7 +197,7 @@ def _trained(
         mix=Mix(transitions=config.transitions, anywhere=config.anywhere),
         device=config.device,
     )
-    return pretrain(run, config.out / method, quiet=quiet).filters
+    return pretrain_in_folder(run, config.out / method, quiet=quiet).filters
 
 
 def _filter_scores(

@@ -22,9 +22,9 @@ from deep.data.minibatches import Batch, Batches
 from deep.data.normalisation import Ranges
 from deep.data.scaling import Scaling, columns
 from deep.filter.safety_filter import SafetyFilter, Watch, inner_ends
-from deep.pretrain import Learner, Rrl, TaskPolicy
-from deep.pretrain.health import check_losses
-from deep.pretrain.trained_filter import extract_filter
+from deep.pretraining import Learner, Rrl, TaskPolicy
+from deep.pretraining.health import check_losses
+from deep.pretraining.trained_filter import extract_filter
 from deep.train.learner import TaskBatch
 
 __all__ = ["FinetunedGate", "FrozenGate", "Gate", "Gated", "OpenGate"]

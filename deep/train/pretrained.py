@@ -11,9 +11,9 @@ from deep.data.minibatches import Batches
 from deep.data.normalisation import Ranges
 from deep.data.scaling import Scaling
 from deep.filter.safety_filter import SafetyFilter
-from deep.pretrain import Learner, RrlMsdpSettings, RrlSettings, build_learner
-from deep.pretrain.config import PretrainConfig
-from deep.pretrain.run import load_raw, read_run
+from deep.pretraining import Learner, RrlMsdpSettings, RrlSettings, build_learner
+from deep.pretraining.config import PretrainConfig
+from deep.pretraining.run import load_raw, read_run
 from deep.runs.checkpoint import load_checkpoint
 from deep.tasks.bounds import Bounds
 from deep.tasks.task import Sizes

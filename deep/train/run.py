@@ -29,8 +29,8 @@ from tqdm import tqdm
 from deep.data.normalisation import Normalisation, with_action_bounds
 from deep.data.scaling import Scaling
 from deep.filter.task_policy import TrainedPolicy
-from deep.pretrain import Learner, method_name
-from deep.pretrain.run import read_run
+from deep.pretraining import Learner, method_name
+from deep.pretraining.run import read_run
 from deep.runs.checkpoint import load_checkpoint, save_checkpoint
 from deep.runs.folder import CsvLog, InterruptAfterUpdate, only_process
 from deep.tasks.task import Sizes

@@ -76,7 +76,7 @@ class WcsacSettings(SacSettings):
         cost_limit: d, one for all seeds or one each.
         sharpness: the cost critic sees coordinates in [0, 1], such as lidars' closenesses,
             to this power, as the safety critics of Algorithm 1 can
-            (:class:`deep.pretrain.config.PretrainConfig`).
+            (:class:`deep.pretraining.config.PretrainConfig`).
         multiplier_rate: Adam's learning rate of lambda, which weighs CVaR against scaled
             rewards and begins at 0; it slides like the others.
     """

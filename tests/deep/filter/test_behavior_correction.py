@@ -20,8 +20,8 @@ from deep.data.normalisation import Normalisation, Ranges
 from deep.filter.behavior_correction import BehaviorCorrection, BehaviorCorrectionVector
 from deep.filter.onnx_export import export_onnx
 from deep.filter.safety_filter import SafetyFilter
-from deep.pretrain import DeaRrlAnnealed, DeaRrlAnnealedSettings, Sizes
-from deep.pretrain.trained_filter import extract_filter
+from deep.pretraining import DeaRrlAnnealed, DeaRrlAnnealedSettings, Sizes
+from deep.pretraining.trained_filter import extract_filter
 from deep.tasks import Brake, TaskEnv, TaskVectorEnv
 from deep.tasks.bounds import Bounds
 from tests.deep import filters

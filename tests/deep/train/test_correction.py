@@ -15,7 +15,7 @@ from deep.data.minibatches import Batch, Batches
 from deep.data.normalisation import Normalisation, Ranges
 from deep.data.scaling import Scaling
 from deep.filter.safety_filter import SafetyFilter
-from deep.pretrain import (
+from deep.pretraining import (
     DeaRrlSettings,
     Rrl,
     RrlMsdp,
@@ -23,8 +23,8 @@ from deep.pretrain import (
     RrlSettings,
     TaskPolicy,
 )
-from deep.pretrain.learner import Losses
-from deep.pretrain.run import load_raw, read_run
+from deep.pretraining.learner import Losses
+from deep.pretraining.run import load_raw, read_run
 from deep.tasks.bounds import Bounds
 from deep.tasks.task import Sizes
 from deep.train.config import TrainConfig

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from deep.data.normalisation import Normalisation, Ranges
 from deep.filter.safety_filter import SafetyFilter
-from deep.pretrain.learner import Learner
+from deep.pretraining.learner import Learner
 
 __all__ = ["extract_filter"]
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from dead_ends import SafeMDP, evaluate_policy, expectile_iteration, value_iteration
 from deep.data.minibatches import Batches
 from deep.data.transitions import Transitions
-from deep.pretrain import (
+from deep.pretraining import (
     DeaRrl,
     DeaRrlAnnealed,
     DeaRrlAnnealedSettings,

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from dead_ends.io.atomic import atomic_path
 from deep.data.transitions import Transitions
 from deep.filter.safety_filter import UNSEEN, SafetyFilter
-from deep.pretrain.learner import Learner, Losses
+from deep.pretraining.learner import Learner, Losses
 from deep.runs.folder import from_plain, read_object
 from deep.tasks.bounds import Bounds
 
