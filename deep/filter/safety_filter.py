@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deep.data.normalisation import Normalisation
+from deep.filter.equation import corrected
 from deep.filter.perceptron import (
     Floats,
     Layers,
@@ -266,9 +267,9 @@ class SafetyFilter:
                 out_of_range = self.out_of_range(seen)
                 not_finite = ~(_finite(seen) & _finite(proposed))
                 critic[not_finite] = 1
-            intervened = ~(critic < self.threshold)
-            if intervened.any():
-                executed = np.where(intervened[:, None], self._recovered(seen), executed)
+            executed, intervened = corrected(
+                executed, critic, self.threshold, lambda: self._recovered(seen)
+            )
         return Correction(executed, intervened, critic, out_of_range, not_finite)
 
     def out_of_range(self, observations: NDArray[Any]) -> Bools:

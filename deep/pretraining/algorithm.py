@@ -26,7 +26,7 @@ from deep.pretraining import (
 )
 from deep.pretraining.config import Training, resolve
 from deep.pretraining.health import FilterHealth, check_filter, check_losses
-from deep.pretraining.trained_filter import extract_filter
+from deep.pretraining.trained_filter import trained_filter
 
 __all__ = [
     "PretrainResult",
@@ -175,6 +175,6 @@ def filters_of(
     assert training.threshold is not None
     assert training.gamma_safe is not None
     return tuple(
-        extract_filter(learner, seed, training.threshold, training.gamma_safe, normalisation, own)
+        trained_filter(learner, seed, training.threshold, training.gamma_safe, normalisation, own)
         for seed, normalisation, own in zip(training.seeds, normalisations, ranges, strict=True)
     )

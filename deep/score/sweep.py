@@ -18,7 +18,7 @@ from deep.filter.thresholds import LOW_SHARE, discount_from_horizon
 from deep.pretraining import DeaRrlAnnealedSettings
 from deep.pretraining.config import Mix, PretrainConfig
 from deep.pretraining.run import pretrain_in_folder
-from deep.score.boundary import LearnedGate, box_points, critic_table, score_boundary
+from deep.score.boundary import LearnedFilter, box_points, critic_table, score_boundary
 from deep.score.exact_answers import ExactAnswer, exact_answer
 from deep.score.figures import SweepScore, sweep_figure
 from deep.tasks import make_task
@@ -68,7 +68,7 @@ def sweep(config: SweepConfig, *, quiet: bool = False) -> tuple[SweepScore, ...]
         folder = config.out / f"{parameter}-{value:g}".replace(" ", "-")
         filters = pretrain_in_folder(run, folder, quiet=quiet).filters
         for safety in filters:
-            table = critic_table(LearnedGate(answer.task, safety), points)
+            table = critic_table(LearnedFilter(answer.task, safety), points)
             top = safety.gamma_safe**answer.horizon
             recipe = run.gamma_safe == discount_from_horizon(answer.horizon)
             for name, x, epsilon in [

@@ -1,6 +1,5 @@
-"""Who corrects during online training (Algorithm 2, lines 9 to 14).
-
-    a = a_task if Q_c(s, a_task) < epsilon, else the mean of pi_rec(s)
+"""Who corrects during online training (Algorithm 2, lines 9 to 14), by Equation
+(behavior_correction).
 
 All actions are in the environment's own units. What is executed is finite and within the
 bounds by the rules of :mod:`deep.filter.safety_filter`, finetuned or not.
@@ -17,6 +16,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from deep.data.minibatches import Batch, Batches
 from deep.data.normalisation import Ranges
@@ -24,15 +24,21 @@ from deep.data.scaling import Scaling, columns
 from deep.filter.safety_filter import SafetyFilter, Watch, inner_ends
 from deep.pretraining import Learner, Rrl, TaskPolicy
 from deep.pretraining.health import check_losses
-from deep.pretraining.trained_filter import extract_filter
+from deep.pretraining.trained_filter import trained_filter
 from deep.train.learner import TaskBatch
 
-__all__ = ["FinetunedGate", "FrozenGate", "Gate", "Gated", "OpenGate"]
+__all__ = [
+    "Corrected",
+    "FinetunedCorrection",
+    "FrozenCorrection",
+    "NoCorrection",
+    "TrainingCorrection",
+]
 
 Floats = NDArray[np.float32]
 
 
-class Gated(NamedTuple):
+class Corrected(NamedTuple):
     """What was made of N actions of K seeds.
 
     Attributes:
@@ -44,10 +50,24 @@ class Gated(NamedTuple):
     intervened: NDArray[np.bool_]
 
 
-class Gate(Protocol):
-    """Behavior correction for K seeds, each with its own critic."""
+def corrected_tensors(
+    proposed: Tensor, critic: Tensor, threshold: Tensor, recovery: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Equation (behavior_correction) in torch, as :func:`deep.filter.equation.corrected` has it.
 
-    def correct(self, observation: Floats, action: Floats) -> Gated:
+    Args:
+        proposed, recovery: (K, N, a), the agents' and the recovery policies' actions.
+        critic: (K, N), Q_c of what is proposed; what is a NaN is blocked.
+        threshold: (K, 1).
+    """
+    intervened = ~(critic < threshold)
+    return torch.where(intervened[..., None], recovery, proposed), intervened
+
+
+class TrainingCorrection(Protocol):
+    """Who corrects during training: K seeds, each with its own critic."""
+
+    def correct(self, observation: Floats, action: Floats) -> Corrected:
         """Correct raw actions (K, N, a) in raw observations (K, N, o)."""
 
     def learn(self, update: int, batch: TaskBatch, task_policy: TaskPolicy) -> None:
@@ -60,12 +80,12 @@ class Gate(Protocol):
         """The filters as they are now, one a seed; none where nothing is corrected."""
 
 
-class OpenGate:
+class NoCorrection:
     """No correction: SAC and WCSAC."""
 
-    def correct(self, observation: Floats, action: Floats) -> Gated:  # noqa: ARG002  (a Gate)
+    def correct(self, observation: Floats, action: Floats) -> Corrected:  # noqa: ARG002  (a TrainingCorrection)
         """The actions."""
-        return Gated(action, np.zeros(action.shape[:2], dtype=np.bool_))
+        return Corrected(action, np.zeros(action.shape[:2], dtype=np.bool_))
 
     def learn(self, update: int, batch: TaskBatch, task_policy: TaskPolicy) -> None:
         """Nothing."""
@@ -75,7 +95,7 @@ class OpenGate:
         return ()
 
 
-class FrozenGate:
+class FrozenCorrection:
     """DEA-RRL and its forms: one pretrained filter a seed.
 
     Attributes:
@@ -86,12 +106,12 @@ class FrozenGate:
         self._filters = tuple(filters)
         self.watch = Watch()
 
-    def correct(self, observation: Floats, action: Floats) -> Gated:
+    def correct(self, observation: Floats, action: Floats) -> Corrected:
         """Equation (behavior_correction) of every seed's filter."""
         done = [f.correct(s, a) for f, s, a in zip(self._filters, observation, action, strict=True)]
         for safety, seen, correction in zip(self._filters, observation, done, strict=True):
             self.watch.add(safety, seen, correction)
-        return Gated(
+        return Corrected(
             np.stack([part.executed for part in done]), np.stack([part.intervened for part in done])
         )
 
@@ -103,7 +123,7 @@ class FrozenGate:
         return self._filters
 
 
-class FinetunedGate:
+class FinetunedCorrection:
     """RRL and RRL (MSDP): the learner goes on, on half offline and half online data.
 
     Args:
@@ -137,7 +157,7 @@ class FinetunedGate:
         self._offline = offline
 
     @torch.no_grad()
-    def correct(self, observation: Floats, action: Floats) -> Gated:
+    def correct(self, observation: Floats, action: Floats) -> Corrected:
         """Equation (behavior_correction) with the critic of the moment."""
         raw, proposed = torch.from_numpy(observation), torch.from_numpy(action)
         s = self._scaling.observation(raw)
@@ -146,11 +166,11 @@ class FinetunedGate:
         a = proposed.clamp(self._low, self._high)
         logits = self.learner.critic.logits(s, self._scaling.action(a))
         known = seen.all(dim=-1) & proposed.isfinite().all(dim=-1) & logits.isfinite().all(dim=1)
-        critic = torch.sigmoid(logits.amax(dim=1))
-        intervened = ~(known & (critic < self._limits))
+        critic = torch.where(known, torch.sigmoid(logits.amax(dim=1)), 1.0)
         unit = self.learner.recovery.mean_action(s).nan_to_num(nan=0.0)
         recovery = self._scaling.raw_action(unit).clamp(self._low, self._high)
-        return Gated(torch.where(intervened[..., None], recovery, a).numpy(), intervened.numpy())
+        executed, intervened = corrected_tensors(a, critic, self._limits, recovery)
+        return Corrected(executed.numpy(), intervened.numpy())
 
     def learn(self, update: int, batch: TaskBatch, task_policy: TaskPolicy) -> None:
         """One update of critic and recovery policy; RRL's critic is that of ``task_policy``.
@@ -181,7 +201,7 @@ class FinetunedGate:
     def filters(self) -> tuple[SafetyFilter, ...]:
         """Copies of the networks of the moment."""
         return tuple(
-            extract_filter(self.learner, seed, threshold, self._gamma_safe, normalisation, ranges)
+            trained_filter(self.learner, seed, threshold, self._gamma_safe, normalisation, ranges)
             for seed, threshold, normalisation, ranges in zip(
                 self.learner.seeds,
                 self._thresholds,

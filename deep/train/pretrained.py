@@ -1,4 +1,4 @@
-"""From a pretraining run's folder to the gate of an online run."""
+"""From a pretraining run's folder to the correction of an online run."""
 
 from __future__ import annotations
 
@@ -19,13 +19,18 @@ from deep.tasks.bounds import Bounds
 from deep.tasks.task import Sizes
 from deep.tasks.vectorised import check_fit
 from deep.train.config import TrainConfig
-from deep.train.correction import FinetunedGate, FrozenGate, Gate, OpenGate
+from deep.train.correction import (
+    FinetunedCorrection,
+    FrozenCorrection,
+    NoCorrection,
+    TrainingCorrection,
+)
 
-__all__ = ["build_gate", "load_filters"]
+__all__ = ["build_correction", "load_filters"]
 
 
-def build_gate(config: TrainConfig, sizes: Sizes, actions: Bounds) -> Gate:
-    """The gate that the configuration asks for; an open one without a pretraining run.
+def build_correction(config: TrainConfig, sizes: Sizes, actions: Bounds) -> TrainingCorrection:
+    """The correction that the configuration asks for; none without a pretraining run.
 
     ``sizes`` and ``actions``, the action bounds, are the task's.
 
@@ -33,7 +38,7 @@ def build_gate(config: TrainConfig, sizes: Sizes, actions: Bounds) -> Gate:
         ValueError: if the pretraining run is missing, unfinished, or does not fit the task.
     """
     if config.safety is None:
-        return OpenGate()
+        return NoCorrection()
     pretrained = read_run(config.safety)
     seeds = config.safety_seeds or config.seeds
     filters = _filters(config, pretrained, seeds)
@@ -45,7 +50,7 @@ def build_gate(config: TrainConfig, sizes: Sizes, actions: Bounds) -> Gate:
     if finetune is None:
         finetune = isinstance(pretrained.method, RrlSettings | RrlMsdpSettings)
     if not finetune:
-        return FrozenGate(filters)
+        return FrozenCorrection(filters)
     learner = _learner(config.safety, pretrained, sizes, config.seeds, seeds)
     thresholds = [safety.threshold for safety in filters]
     data, _ = load_raw(pretrained)
@@ -60,7 +65,7 @@ def build_gate(config: TrainConfig, sizes: Sizes, actions: Bounds) -> Gate:
     )
     scaling = Scaling([safety.normalisation for safety in filters])
     ranges = [Ranges(safety.actions, safety.observations) for safety in filters]
-    return FinetunedGate(learner, thresholds, scaling, ranges, filters[0].gamma_safe, offline)
+    return FinetunedCorrection(learner, thresholds, scaling, ranges, filters[0].gamma_safe, offline)
 
 
 def _filters(

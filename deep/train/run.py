@@ -41,11 +41,11 @@ from deep.train.config import (
     task_method_name,
     train_config_to_json,
 )
-from deep.train.correction import FinetunedGate
+from deep.train.correction import FinetunedCorrection
 from deep.train.counts import Counts
 from deep.train.learner import TaskLearner, TaskLosses
 from deep.train.noise import ActionNoise
-from deep.train.pretrained import build_gate
+from deep.train.pretrained import build_correction
 from deep.train.replay import Arrival, Replay
 from deep.train.result import (
     EPISODES_KEPT_APART,
@@ -123,11 +123,11 @@ class _Run:
         self.bounds = self.fleet.action_bounds
         identity = with_action_bounds(Normalisation.identity(*sizes), self.bounds)
         self.units = Scaling([identity] * len(config.seeds))
-        self.gate = build_gate(config, sizes, self.bounds)
+        self.correction = build_correction(config, sizes, self.bounds)
         self.scaling: Scaling | None = None  # of the task policy; known after the start phase
         learners: list[TaskLearner | Learner] = [self.learner]
-        if isinstance(self.gate, FinetunedGate):
-            learners.append(self.gate.learner)
+        if isinstance(self.correction, FinetunedCorrection):
+            learners.append(self.correction.learner)
         self.state = _State(learners)
         open_folder(folder, train_config_to_json(config))  # only now: everything fits
         checkpoint, replay = folder / "checkpoint.safetensors", folder / "replay.bin"
@@ -185,7 +185,7 @@ class _Run:
         noise, uniform = self.actions.draw(self.step)
         begun = self.step * config.copies < config.start_steps
         action = self._start(uniform) if begun else self._propose(noise)
-        executed, intervened = self.gate.correct(self.observation, action)
+        executed, intervened = self.correction.correct(self.observation, action)
         arrived = self.fleet.step(executed)
         self.replay.add(
             self.step,
@@ -235,7 +235,7 @@ class _Run:
                 executed=self.scaling.action(raw.executed),
             )
         )
-        self.gate.learn(self.updates, raw, self._act)
+        self.correction.learn(self.updates, raw, self._act)
         self.updates += 1
         return losses
 
@@ -257,7 +257,7 @@ class _Run:
     def _log_evaluation(self, done: int) -> None:
         config = self.config
         found = evaluate(
-            config.task, self.policies(), self.gate.filters(), config.evaluation_episodes,
+            config.task, self.policies(), self.correction.filters(), config.evaluation_episodes,
             EPISODES_KEPT_APART, config.rules,
         )  # fmt: skip
         self.evaluations.write(evaluation_rows(done, config.seeds, found))
@@ -270,7 +270,7 @@ class _Run:
     def finish(self) -> None:
         """Evaluate, write policies and filters, say what came out, forget the replay buffer."""
         config, counts = self.config, self.counts
-        policies, filters = self.policies(), self.gate.filters()
+        policies, filters = self.policies(), self.correction.filters()
         found = evaluate(config.task, policies, filters, config.episodes, rules=config.rules)
         save_all(self.folder / "policies", config.seeds, policies)
         save_all(self.folder / "filters", config.seeds, filters)
