@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from deep.data.minibatches import Batch, Batches
-from deep.data.normalisation import Ranges
-from deep.data.scaling import Scaling, columns
+from deep.data.normalisation import Ranges, TensorNormalisation, columns
 from deep.filter.safety_filter import SafetyFilter, Watch, inner_ends
 from deep.pretraining import Learner, Rrl, TaskPolicy
 from deep.pretraining.health import check_losses
@@ -129,7 +128,7 @@ class FinetunedCorrection:
     Args:
         learner: pretrained; changed in place.
         thresholds: one a seed.
-        scaling: what the learner's networks see.
+        normalisation: what the learner's networks see.
         ranges: of the pretraining's data, one a seed; the action bounds are the task's.
         gamma_safe: the learner's discount of the cost.
         offline: the pretraining's data as recorded, half of the batch size at a time.
@@ -139,7 +138,7 @@ class FinetunedCorrection:
         self,
         learner: Learner,
         thresholds: Sequence[float],
-        scaling: Scaling,
+        normalisation: TensorNormalisation,
         ranges: Sequence[Ranges],
         gamma_safe: float,
         offline: Batches,
@@ -148,7 +147,7 @@ class FinetunedCorrection:
         self._gamma_safe = gamma_safe
         self._thresholds = tuple(thresholds)
         self._limits = torch.tensor(thresholds, dtype=torch.float32)[:, None]
-        self._scaling = scaling
+        self._normalisation = normalisation
         self._ranges = tuple(ranges)
         ends = [inner_ends(own.actions) for own in ranges]
         self._low, self._high = (
@@ -160,15 +159,15 @@ class FinetunedCorrection:
     def correct(self, observation: Floats, action: Floats) -> Corrected:
         """Equation (behavior_correction) with the critic of the moment."""
         raw, proposed = torch.from_numpy(observation), torch.from_numpy(action)
-        s = self._scaling.observation(raw)
+        s = self._normalisation.observation(raw)
         seen = raw.isfinite() & s.isfinite()
         s = torch.where(seen, s, 0.0)
         a = proposed.clamp(self._low, self._high)
-        logits = self.learner.critic.logits(s, self._scaling.action(a))
+        logits = self.learner.critic.logits(s, self._normalisation.action(a))
         known = seen.all(dim=-1) & proposed.isfinite().all(dim=-1) & logits.isfinite().all(dim=1)
         critic = torch.where(known, torch.sigmoid(logits.amax(dim=1)), 1.0)
         unit = self.learner.recovery.mean_action(s).nan_to_num(nan=0.0)
-        recovery = self._scaling.raw_action(unit).clamp(self._low, self._high)
+        recovery = self._normalisation.raw_action(unit).clamp(self._low, self._high)
         executed, intervened = corrected_tensors(a, critic, self._limits, recovery)
         return Corrected(executed.numpy(), intervened.numpy())
 
@@ -179,17 +178,17 @@ class FinetunedCorrection:
             FloatingPointError: if a loss is not a number.
         """
         raw = _joined(self._offline.get(update), batch)
-        scaling = self._scaling
+        normalisation = self._normalisation
         if isinstance(self.learner, Rrl):
             # RRL asks in its own coordinates; the task policy has others.
-            self.learner.task_policy = lambda _, noise: scaling.action(
+            self.learner.task_policy = lambda _, noise: normalisation.action(
                 task_policy(raw.next_observation, noise)
             )
         losses = self.learner.update(
             raw._replace(
-                observation=scaling.observation(raw.observation),
-                next_observation=scaling.observation(raw.next_observation),
-                action=scaling.action(raw.action),
+                observation=normalisation.observation(raw.observation),
+                next_observation=normalisation.observation(raw.next_observation),
+                action=normalisation.action(raw.action),
             ),
             0.0,
         )
@@ -205,7 +204,7 @@ class FinetunedCorrection:
             for seed, threshold, normalisation, ranges in zip(
                 self.learner.seeds,
                 self._thresholds,
-                self._scaling.normalisation,
+                self._normalisation.of_seeds,
                 self._ranges,
                 strict=True,
             )

@@ -8,8 +8,7 @@ from pathlib import Path
 import torch
 
 from deep.data.minibatches import Batches
-from deep.data.normalisation import Ranges
-from deep.data.scaling import Scaling
+from deep.data.normalisation import Ranges, TensorNormalisation
 from deep.filter.safety_filter import SafetyFilter
 from deep.pretraining import Learner, RrlMsdpSettings, RrlSettings, build_learner
 from deep.pretraining.config import PretrainConfig
@@ -63,9 +62,11 @@ def build_correction(config: TrainConfig, sizes: Sizes, actions: Bounds) -> Trai
         pretrained.method.violation_share,
         torch.device("cpu"),
     )
-    scaling = Scaling([safety.normalisation for safety in filters])
+    normalisation = TensorNormalisation([safety.normalisation for safety in filters])
     ranges = [Ranges(safety.actions, safety.observations) for safety in filters]
-    return FinetunedCorrection(learner, thresholds, scaling, ranges, filters[0].gamma_safe, offline)
+    return FinetunedCorrection(
+        learner, thresholds, normalisation, ranges, filters[0].gamma_safe, offline
+    )
 
 
 def _filters(

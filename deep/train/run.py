@@ -26,8 +26,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from deep.data.normalisation import Normalisation, with_action_bounds
-from deep.data.scaling import Scaling
+from deep.data.normalisation import Normalisation, TensorNormalisation, with_action_bounds
 from deep.filter.task_policy import TrainedPolicy
 from deep.pretraining import Learner, method_name
 from deep.pretraining.run import read_run
@@ -122,9 +121,10 @@ class _Run:
         # Actions are kept in the environment's units; the learner's fill [-1, 1].
         self.bounds = self.fleet.action_bounds
         identity = with_action_bounds(Normalisation.identity(*sizes), self.bounds)
-        self.units = Scaling([identity] * len(config.seeds))
+        self.units = TensorNormalisation([identity] * len(config.seeds))
         self.correction = build_correction(config, sizes, self.bounds)
-        self.scaling: Scaling | None = None  # of the task policy; known after the start phase
+        # Of the task policy; known after the start phase.
+        self.normalisation: TensorNormalisation | None = None
         learners: list[TaskLearner | Learner] = [self.learner]
         if isinstance(self.correction, FinetunedCorrection):
             learners.append(self.correction.learner)
@@ -170,7 +170,7 @@ class _Run:
                 done = self.step * config.copies
                 if done % config.log_every == 0 or self.step == total:
                     self._log(done, losses)
-                if done % config.evaluate_every == 0 and self.scaling:
+                if done % config.evaluate_every == 0 and self.normalisation:
                     self._checked(done, latest)
                     self._log_evaluation(done)
                 if done % config.checkpoint_every == 0 or stop or self.step == total:
@@ -198,9 +198,11 @@ class _Run:
         self.counts.add(arrived, intervened)
         self.step += 1
         steps = self.step * config.copies
-        if self.scaling is None and steps >= config.start_steps:
+        if self.normalisation is None and steps >= config.start_steps:
             seen = self.replay.normalisation(self.step)
-            self.scaling = Scaling([with_action_bounds(n, self.bounds) for n in seen])
+            self.normalisation = TensorNormalisation(
+                [with_action_bounds(n, self.bounds) for n in seen]
+            )
             self.learner.look(partial(self.replay.normalisation, self.step))
         due = max(0, steps - config.start_steps) // config.steps_per_update
         losses = None
@@ -218,21 +220,21 @@ class _Run:
 
     def _act(self, observation: Tensor, noise: Tensor) -> Tensor:
         """The task policy's actions, in the environment's units, in raw observations (K, B, o)."""
-        assert self.scaling is not None
-        action, _ = self.learner.policy.sample(self.scaling.observation(observation), noise)
-        return self.scaling.raw_action(action)
+        assert self.normalisation is not None
+        action, _ = self.learner.policy.sample(self.normalisation.observation(observation), noise)
+        return self.normalisation.raw_action(action)
 
     def _update(self) -> TaskLosses:
-        assert self.scaling is not None
+        assert self.normalisation is not None
         config = self.config
         raw = self.replay.sample(self.updates, self.step, config.method.batch_size)
         self.learner.slow_down(self.step * config.copies / config.steps)
         losses = self.learner.update(
             raw._replace(
-                observation=self.scaling.observation(raw.observation),
-                next_observation=self.scaling.observation(raw.next_observation),
-                action=self.scaling.action(raw.action),
-                executed=self.scaling.action(raw.executed),
+                observation=self.normalisation.observation(raw.observation),
+                next_observation=self.normalisation.observation(raw.next_observation),
+                action=self.normalisation.action(raw.action),
+                executed=self.normalisation.action(raw.executed),
             )
         )
         self.correction.learn(self.updates, raw, self._act)
@@ -264,8 +266,8 @@ class _Run:
 
     def policies(self) -> tuple[TrainedPolicy, ...]:
         """Every seed's task policy of the moment."""
-        assert self.scaling is not None
-        return task_policies(self.learner, self.scaling.normalisation, self.method)
+        assert self.normalisation is not None
+        return task_policies(self.learner, self.normalisation.of_seeds, self.method)
 
     def finish(self) -> None:
         """Evaluate, write policies and filters, say what came out, forget the replay buffer."""
@@ -303,7 +305,8 @@ class _Run:
         rest = {
             "step": self.step,
             "counts": self.counts.to_json(),
-            "normalisation": self.scaling and [asdict(n) for n in self.scaling.normalisation],
+            "normalisation": self.normalisation
+            and [asdict(n) for n in self.normalisation.of_seeds],
             "environments": self.fleet.snapshot(),
             "actions": asdict(self.bounds),
         }
@@ -322,7 +325,9 @@ class _Run:
         self.step = rest["step"]
         self.counts = Counts.from_json(rest["counts"])
         if rest["normalisation"]:
-            self.scaling = Scaling([Normalisation.from_json(n) for n in rest["normalisation"]])
+            self.normalisation = TensorNormalisation(
+                [Normalisation.from_json(n) for n in rest["normalisation"]]
+            )
         if rest["environments"] is None:
             self.counts.running_return[:] = self.counts.running_length[:] = 0
             self.replay.cut(self.step)

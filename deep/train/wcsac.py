@@ -36,8 +36,7 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from deep.data.normalisation import Normalisation
-from deep.data.scaling import columns
+from deep.data.normalisation import Normalisation, columns
 from deep.nn.losses import q_loss, q_target
 from deep.nn.networks import ActionValue, GaussianPolicy, adam, copy_slowly, minimise
 from deep.tasks.task import Sizes

@@ -12,8 +12,7 @@ import torch
 from torch import Tensor
 
 from deep.data.minibatches import Batch, Batches
-from deep.data.normalisation import Normalisation, Ranges
-from deep.data.scaling import Scaling
+from deep.data.normalisation import Normalisation, Ranges, TensorNormalisation
 from deep.filter.safety_filter import SafetyFilter
 from deep.pretraining import (
     DeaRrlSettings,
@@ -101,7 +100,9 @@ def rescaled(folder: Path) -> FinetunedCorrection:
     data, _ = load_raw(read_run(folder))
     offline = Batches(data, SEEDS, 8, 0.5, torch.device("cpu"))
     limits = [float(np.median(part)) for part in q]
-    return FinetunedCorrection(trained.learner, limits, Scaling(UNITS), RANGES, 0.9, offline)
+    return FinetunedCorrection(
+        trained.learner, limits, TensorNormalisation(UNITS), RANGES, 0.9, offline
+    )
 
 
 def test_an_open_gate_lets_everything_through() -> None:
@@ -153,7 +154,12 @@ def test_only_finite_actions_within_bounds_leave_a_finetuned_correction(
     bounds = Bounds((-0.25,), (0.5,))
     ranges = [Ranges(bounds, Bounds.unit(2))] * 2
     correction = FinetunedCorrection(
-        trained.learner, trained._thresholds, Scaling(UNITS), ranges, 0.9, trained._offline
+        trained.learner,
+        trained._thresholds,
+        TensorNormalisation(UNITS),
+        ranges,
+        0.9,
+        trained._offline,
     )
     s, a = observations()
     s[:, 0, 0], s[:, 1, 1], s[:, 2, 0] = np.nan, np.inf, -np.inf
@@ -192,7 +198,7 @@ def test_a_critic_that_is_no_number_or_at_the_threshold_lets_nothing_through(rrl
     with torch.no_grad():
         for parameter in correction.learner.critic.parameters():
             parameter.zero_()  # Q = 1/2 everywhere
-    rest = (Scaling(UNITS), RANGES, 0.9, correction._offline)
+    rest = (TensorNormalisation(UNITS), RANGES, 0.9, correction._offline)
     at = FinetunedCorrection(correction.learner, (0.5, 0.50001), *rest)
     assert at.correct(s, a).intervened.mean(axis=1).tolist() == [1, 0]
     over = FinetunedCorrection(correction.learner, (0.50001, 0.50001), *rest)
@@ -210,7 +216,7 @@ def test_an_observation_whose_power_overflows_is_not_judged_as_the_mean(rrl: Pat
             parameter.zero_()
     units = [replace(n, observation_power=(24.0, 1.0)) for n in UNITS]
     sharp = FinetunedCorrection(
-        correction.learner, (0.6, 0.6), Scaling(units), RANGES, 0.9, correction._offline
+        correction.learner, (0.6, 0.6), TensorNormalisation(units), RANGES, 0.9, correction._offline
     )
     s, a = observations()
     s[:, 0, 0] = 1e10
@@ -235,7 +241,7 @@ def test_rrl_learns_from_executed_actions_half_of_them_offline(
     correction.learn(7, online, policy)
     offline = correction._offline.get(7)
     centre, scale = torch.tensor([[[0.2]], [[-0.1]]]), torch.tensor([[[0.5]], [[2.0]]])
-    scaling = Scaling(UNITS)
+    normalisation = TensorNormalisation(UNITS)
     for name, given in {"action": "executed"}.items() | {
         (name, name) for name in ("cost", "terminal", "noise", "next_noise")
     }:
@@ -248,7 +254,9 @@ def test_rrl_learns_from_executed_actions_half_of_them_offline(
         assert torch.allclose(mixed[:, 8:], column[:, :8], atol=1e-6), name
     for name in ("observation", "next_observation"):
         raw = torch.cat([getattr(offline, name), getattr(online, name)[:, :8]], dim=1)
-        assert torch.allclose(getattr(seen[0], name), scaling.observation(raw), atol=1e-6), name
+        assert torch.allclose(getattr(seen[0], name), normalisation.observation(raw), atol=1e-6), (
+            name
+        )
     # RRL asks about its own batch's next states; the task policy sees them raw.
     assert isinstance(correction.learner, Rrl)
     following = torch.cat([offline.next_observation, online.next_observation[:, :8]], dim=1)
@@ -260,7 +268,7 @@ def test_rrl_learns_from_executed_actions_half_of_them_offline(
 def test_closenesses_are_sharpened_as_in_the_filters() -> None:
     sharp = tuple(replace(n, observation_power=(1.0, 8.0)) for n in UNITS)
     raw = np.array([[[-0.5, 0.9], [0.3, -0.1]]] * 2, dtype=np.float32)
-    found = Scaling(sharp).observation(torch.from_numpy(raw)).numpy()
+    found = TensorNormalisation(sharp).observation(torch.from_numpy(raw)).numpy()
     for k, n in enumerate(sharp):
         powered = n.powered(raw[k])
         assert powered == pytest.approx(np.array([[-0.5, 0.9**8], [0.3, 0.0]]), rel=1e-5)
