@@ -91,6 +91,13 @@ class SafetyFilter:
         observations: the range of the observations that it was trained on.
         reach: the recovery action is reach * tanh(mean), cut off at the action range.
         gamma_safe, method, seed: where it comes from.
+
+    >>> safety = pretrain(log, horizon=3, updates=3, quiet=True).filters[0]
+    >>> safety.save("filter.safetensors")
+    >>> loaded = SafetyFilter.load("filter.safetensors").with_threshold(0.01)
+    >>> done = loaded.correct(np.array([[1.0], [np.nan]]), np.array([[1.0], [0.0]]))
+    >>> done.intervened, done.not_finite
+    (array([ True,  True]), array([False,  True]))
     """
 
     critic: Layers

@@ -45,6 +45,10 @@ class PretrainResult:
     Attributes:
         filters: one a seed, in the order of the seeds.
         health: what each seed's filter does with the log that it was trained on.
+
+    >>> result = pretrain(log, horizon=3, seeds=(0, 7), updates=3, quiet=True)
+    >>> [safety.seed for safety in result.filters]
+    [0, 7]
     """
 
     filters: tuple[SafetyFilter, ...]
