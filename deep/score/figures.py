@@ -11,7 +11,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from deep.filter.safety_filter import SafetyFilter
-from deep.score.boundary import LearnedGate, action_grid
+from deep.score.boundary import LearnedFilter, action_grid
 from deep.score.exact_answers import ExactAnswer
 from deep.tasks.shapes import inside_any
 from deep.tasks.task import Floats
@@ -57,11 +57,11 @@ def _box_grid(answer: ExactAnswer) -> tuple[Floats, Floats, Floats]:
 
 def learned_value(answer: ExactAnswer, safety: SafetyFilter, points: Floats) -> Floats:
     """float (n,): min over a dense grid of actions of Q_c."""
-    gate = LearnedGate(answer.task, safety)
+    scored = LearnedFilter(answer.task, safety)
     least = np.full(len(points), np.inf)
     for action in action_grid(answer.task.action_dim, ACTIONS[answer.task.action_dim]):
         repeated = np.broadcast_to(action, (len(points), len(action)))
-        least = np.minimum(least, gate.critic(points, repeated))
+        least = np.minimum(least, scored.critic(points, repeated))
     return least
 
 

@@ -14,14 +14,14 @@ from deep.cli.offline_data import OfflineData
 from deep.cli.pretrain import Pretrain
 from deep.cli.train import Train
 from deep.cli.train_offline import TrainOffline
-from deep.pretrain import (
+from deep.pretraining import (
     DeaRrlAnnealedSettings,
     DearrlIqlSettings,
     DeaRrlSettings,
     RrlMsdpSettings,
     RrlSettings,
 )
-from deep.pretrain.config import MethodChoice, PretrainConfig
+from deep.pretraining.config import MethodChoice, PretrainConfig
 from deep.study.jobs import FORMS, METHODS, StudyConfig, study_jobs
 from deep.study.schedule import Job
 from deep.tasks.gym import NO_RULES, Rules

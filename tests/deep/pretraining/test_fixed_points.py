@@ -15,7 +15,7 @@ from dead_ends import SafeMDP, evaluate_policy, value_iteration
 from dead_ends.paper import expectile_iteration
 from deep.data.minibatches import Batches
 from deep.data.transitions import Transitions
-from deep.pretrain import (
+from deep.pretraining import (
     DeaRrl,
     DeaRrlAnnealed,
     DeaRrlAnnealedSettings,
