@@ -29,7 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from dead_ends.draw.page import report_page
+    from dead_ends.cli.page_answers import page_answers
+    from dead_ends.draw.page import draw_page
     from dead_ends.io.atomic import atomic_path
 
     check_output(arguments.out, arguments.file, *(arguments.policy or ()))
@@ -37,7 +38,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise ValueError(f"{arguments.out}: the page is written as .html")
     model = read_source(arguments)
     policies = {path.stem: _read_policy(path) for path in arguments.policy or ()}
-    page = report_page(model, Path(arguments.file).stem, policies or None)
+    answers = page_answers(model, policies or None)
+    page = draw_page(model, answers, Path(arguments.file).stem)
     with atomic_path(arguments.out) as temporary:
         temporary.write_text(page, encoding="utf-8")
     print(f"wrote {arguments.out}")

@@ -13,7 +13,8 @@ import pytest
 
 from dead_ends import SafeMDP, classify, conservatism, evaluate_policy, value_iteration
 from dead_ends.__main__ import main
-from dead_ends.draw.page import MAX_STATES, layout_by_survival_time, report_page
+from dead_ends.cli.page_answers import MAX_STATES, page_answers
+from dead_ends.draw.page import draw_page, layout_by_survival_time
 from dead_ends.envs.brake import BrakeLattice, brake, late_braker
 from dead_ends.envs.lifegate import lifegate
 from dead_ends.io.npz import save_npz
@@ -43,6 +44,10 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     session = webdriver.Chrome(options, webdriver.ChromeService(driver))
     yield session
     session.quit()
+
+
+def report_page(model: SafeMDP, title: str, policies: Any = None) -> str:
+    return draw_page(model, page_answers(model, policies), title)
 
 
 def open_page(browser: Any, path: Path, page: str) -> Any:
@@ -167,7 +172,7 @@ def test_a_model_too_large_for_a_page_is_refused() -> None:
     size = MAX_STATES + 1
     model = SafeMDP.deterministic(np.zeros((size, 1), dtype=np.int32), np.zeros(size, dtype=bool))
     with pytest.raises(ValueError, match="the page shows at most 100,000 states"):
-        report_page(model, "large")
+        page_answers(model)
 
 
 def test_what_is_no_guarantee_and_no_float_is_said(browser: Any, tmp_path: Path) -> None:

@@ -16,13 +16,14 @@ from dead_ends import SafeMDP, classify, greedy_actions
 
 TYPES = ("SafeMDP", "Values", "Labelling", "Certificate", "ExpectedSurvival")
 ELSEWHERE = (
+    "cli.page_answers.page_answers",
     "draw.animation.animate_runs",
+    "draw.page.draw_page",
+    "draw.pictures.plot_boundaries",
+    "draw.pictures.plot_map",
     "envs.safe_mdp_env.SafeMDPEnv",
     "io.labelling.save_labelling",
     "io.networkx_graph.to_networkx",
-    "draw.pictures.plot_boundaries",
-    "draw.pictures.plot_map",
-    "draw.page.report_page",
     "paper.verification.verify_report",
 )
 
