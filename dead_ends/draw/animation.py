@@ -17,12 +17,12 @@ from PIL import Image
 
 from dead_ends.draw.geometry import (
     COLORS,
-    LINES,
     coordinates,
     draw_labels,
     extent_cells,
     geometry_of,
 )
+from dead_ends.draw.palette import AGENT, RECOVERY
 from dead_ends.labels.labelling import INFINITE, Label, Labelling
 from dead_ends.model.safe_mdp import Geometry, SafeMDP, require_type
 
@@ -66,6 +66,15 @@ def animate_runs(
     return frames
 
 
+_DOT = {"linestyle": "", "markeredgecolor": "white", "color": AGENT}
+MARKS: tuple[dict[str, Any], ...] = (
+    {"color": AGENT, "linewidth": 1.6},
+    _DOT | {"marker": "s", "markersize": 7, "color": RECOVERY, "markeredgecolor": AGENT},
+    _DOT | {"marker": "o", "markersize": 11},
+)
+"""The agent's path, the steps in which the recovery policy acted, and the agent."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Moving:
     """What changes from frame to frame in one panel."""
@@ -88,22 +97,16 @@ def _animation_figure(
     for axes in np.atleast_1d(figure.subplots(1, len(runs))):
         draw_labels(axes, geometry, labelling.labels)
         axes.set_title(" ", fontsize=11).set_animated(True)
-        artists.append(
-            _Moving(
-                axes,
-                axes.plot([], [], color="#333333", linewidth=1.6, animated=True)[0],
-                axes.plot([], [], "s", markersize=7, color=LINES[2], animated=True)[0],
-                axes.plot([], [], "o", markersize=11, color="black", mec="white", animated=True)[0],
-            )
-        )
+        path, recovered, agent = (axes.plot([], [], **mark, animated=True)[0] for mark in MARKS)
+        artists.append(_Moving(axes, path, recovered, agent))
     present = [label for label in Label if labelling.count(label)]
     handles: list[Any] = [
         Patch(facecolor=COLORS[label], label=label.name.lower().replace("_", " "))
         for label in present
     ]
     handles += [
-        Line2D([], [], linestyle="", marker="o", markersize=9, color="black", label="agent"),
-        Line2D([], [], linestyle="", marker="s", color=LINES[2], label="recovery policy acted"),
+        Line2D([], [], **mark, label=name)
+        for mark, name in zip(MARKS[1:], ("recovery policy acted", "agent"), strict=True)
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=6, frameon=False)
     return figure, artists

@@ -23,6 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dead_ends.certificates.checker import Certificate
+from dead_ends.draw.geometry import COLORS
+from dead_ends.draw.palette import BLOCKED, LET_THROUGH, WALL
 from dead_ends.labels.labelling import INFINITE, Label, Labelling
 from dead_ends.model.safe_mdp import Geometry, SafeMDP, require_type
 from dead_ends.safety.thresholds import ThresholdInterval
@@ -140,6 +142,10 @@ def _picture(model: SafeMDP, labelling: Labelling) -> dict[str, Any]:
         "step": geometry.step,
         "yDown": geometry.y_down,
         "hasAxes": model.geometry is not None,
+        "colors": [COLORS[label] for label in Label],
+        "wall": WALL,
+        "blocked": BLOCKED,
+        "letThrough": LET_THROUGH,
     }
 
 

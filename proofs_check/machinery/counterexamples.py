@@ -18,6 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch
 
 from dead_ends.draw.geometry import COLORS
+from dead_ends.draw.palette import LINES
 from dead_ends.io.atomic import atomic_path
 from dead_ends.io.npz import save_npz
 from dead_ends.labels.labelling import Label
@@ -30,9 +31,9 @@ ROOT = Path(__file__).parents[1]
 MODELS = ROOT / "counterexamples"
 FIGURES = ROOT.parent / "figures"
 ACTION_STYLES: tuple[tuple[str, Literal["-", "--", ":"]], ...] = (
-    ("#0072B2", "-"),
-    ("#882255", "--"),
-    ("#117733", ":"),
+    (LINES[2], "-"),
+    (LINES[3], "--"),
+    (LINES[4], ":"),
 )
 RADIUS = 0.2
 
@@ -208,7 +209,7 @@ def _draw_state(axes: Any, model: SafeMDP, case: Case, state: int, x: float, y: 
         if case.failing[state] > 0
         else Label.SAFE
     )
-    axes.add_patch(Circle((x, y), RADIUS, facecolor=COLORS[label], edgecolor="#333333", zorder=3))
+    axes.add_patch(Circle((x, y), RADIUS, facecolor=COLORS[label], edgecolor="0.2", zorder=3))
     assert model.state_names is not None
     kind, _, rest = model.state_names[state].partition(" ")
     color = "white" if label is Label.FAIL else "black"
