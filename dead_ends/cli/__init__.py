@@ -5,4 +5,4 @@ A module's name is the command's name. It has ``SUMMARY`` (one line),
 slow to import is imported in ``run``.
 """
 
-COMMANDS = ("label", "explain", "certify", "check", "export", "convert", "verify", "report")
+COMMANDS = ("label", "explain", "certify", "check", "export", "convert", "statements", "page")

@@ -1,4 +1,4 @@
-"""Results in, pictures out: maps, boundaries, animations, the report page.
+"""Results in, pictures out: maps, boundaries, animations, a page about a model.
 
 palette    one color, one meaning
 geometry   cells, places and outlines of a model's geometry

@@ -1,4 +1,4 @@
-"""One self-contained page about a model: ``python -m dead_ends report FILE --out report.html``.
+"""One self-contained page about a model: ``python -m dead_ends page FILE --out page.html``.
 
 The page shows the labels in the model's geometry (or in a layout by survival time, if it has
 none), lets one move gamma_safe and epsilon_safe and see what each safety critic blocks, and

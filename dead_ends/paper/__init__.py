@@ -1,9 +1,9 @@
 """The paper's statements as predicates, and a report of them on one model.
 
-    predicates  one function a statement: arrays in, a mask of the places where it fails out
-    report      which statements hold on a given model, with the numbers
+    predicates    one function a statement: arrays in, a mask of the places where it fails out
+    verification  which statements hold on a given model, with the numbers
 
-`python -m dead_ends verify FILE` prints the report.
+`python -m dead_ends statements FILE` prints the report.
 """
 
 from dead_ends.paper.predicates import (
@@ -27,7 +27,7 @@ from dead_ends.paper.predicates import (
     unsafe_allowed,
     unsafe_minimisers,
 )
-from dead_ends.paper.verification import Statement, Verification, verify_report
+from dead_ends.paper.verification import Statement, Verification, verify_statements
 
 __all__ = [
     "Statement",
@@ -51,5 +51,5 @@ __all__ = [
     "time_bound",
     "unsafe_allowed",
     "unsafe_minimisers",
-    "verify_report",
+    "verify_statements",
 ]

@@ -360,7 +360,7 @@ def test_bad_input_is_one_line(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("command", ["label", "certify", "export", "convert", "explain", "report"])
+@pytest.mark.parametrize("command", ["label", "certify", "export", "convert", "explain", "page"])
 @pytest.mark.parametrize(
     ("option", "value", "said"),
     [
@@ -380,7 +380,7 @@ def test_what_selects_no_state_is_said(
     path.write_text("2 3 3\n0 0 0 1\n0 1 1 1\n1 0 1 1\n")
     path.with_suffix(".lab").write_text('0="init" 1="fail" 2="crash"\n0: 0\n1: 1\n')
     source = "CliffWalking-v1" if option == "--fail-if" else str(path)
-    suffix = {"export": "npz", "convert": "npz", "certify": "npz", "report": "html"}.get(command)
+    suffix = {"export": "npz", "convert": "npz", "certify": "npz", "page": "html"}.get(command)
     out = ["--out", str(tmp_path / f"out.{suffix}")] if suffix else []
     more = ["0"] if command == "explain" else out
     status, _, err = run(capsys, command, source, *more, option, value)

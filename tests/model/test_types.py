@@ -24,7 +24,7 @@ ELSEWHERE = (
     "envs.safe_mdp_env.SafeMDPEnv",
     "io.labelling.save_labelling",
     "io.networkx_graph.to_networkx",
-    "paper.verification.verify_report",
+    "paper.verification.verify_statements",
 )
 
 

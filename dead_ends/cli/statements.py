@@ -1,4 +1,4 @@
-"""``verify FILE``: which statements of the paper hold on a model, with the numbers."""
+"""``statements FILE``: which statements of the paper hold on a model, with the numbers."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     model = read_source(arguments)
 
-    from dead_ends.paper import verify_report
+    from dead_ends.paper import verify_statements
     from dead_ends.values.discount import read_discount
 
     policy = None if arguments.policy is None else _read_policy(arguments.policy)
     gamma, _ = read_discount(arguments.gamma_safe, arguments.exact)
-    found = verify_report(model, gamma, arguments.epsilon_safe, policy)
+    found = verify_statements(model, gamma, arguments.epsilon_safe, policy)
     print(f"{arguments.file}: {model!r}")
     print_rows(_rows(found, arguments.policy))
     for statement in found.statements:

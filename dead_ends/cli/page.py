@@ -1,4 +1,4 @@
-"""``report FILE --out PAGE``: one self-contained page, to look at in a browser."""
+"""``page FILE --out PAGE``: one self-contained page, to look at in a browser."""
 
 from __future__ import annotations
 
