@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dead_ends.draw.animation import Run
+from dead_ends.draw.animation import Episode
 from dead_ends.draw.pictures import Blocked, Boundary
 from dead_ends.envs.brake import (
     BrakeLattice,
@@ -40,14 +40,14 @@ from dead_ends.values.precision import UndecidedError
 from dead_ends.values.values import Values
 
 __all__ = [
-    "Scene",
+    "TaskScene",
     "brake_critics",
     "brake_scene",
     "bridge_scene",
+    "episodes",
     "gridworld_scene",
     "lifegate_scene",
     "map_actions",
-    "runs",
     "threshold",
 ]
 
@@ -59,7 +59,7 @@ PAPER_THRESHOLD = 0.7
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class TaskScene:
     """A task to draw: its model, its title and the task policy of the animation."""
 
     name: str
@@ -71,15 +71,15 @@ class Scene:
     seed: int = 0
 
 
-def brake_scene(arguments: argparse.Namespace) -> Scene:
+def brake_scene(arguments: argparse.Namespace) -> TaskScene:
     lattice = _lattice(arguments)
     model = brake(lattice)
     policy = as_distribution(_late(lattice), model.num_actions)
     start = lattice.state(lattice.max_distance, 0)
-    return Scene("brake", "Braking car", model, policy, start, steps=90)
+    return TaskScene("brake", "Braking car", model, policy, start, steps=90)
 
 
-def gridworld_scene(arguments: argparse.Namespace) -> Scene:
+def gridworld_scene(arguments: argparse.Namespace) -> TaskScene:
     model = gridworld(_map_text(arguments.map), arguments.slip)
     return _random_walk("gridworld", "Gridworld", model, seed=3)
 
@@ -94,23 +94,23 @@ def _map_text(path: Path | None) -> str:
     return text
 
 
-def lifegate_scene(arguments: argparse.Namespace) -> Scene:
+def lifegate_scene(arguments: argparse.Namespace) -> TaskScene:
     title = f"LifeGate (death drag {arguments.death_drag:g})"
     return _random_walk("lifegate", title, lifegate(arguments.death_drag), seed=0)
 
 
-def bridge_scene(arguments: argparse.Namespace) -> Scene:
+def bridge_scene(arguments: argparse.Namespace) -> TaskScene:
     title = f"Bridge (falls with probability {arguments.fall_probability:g})"
     model = bridge(arguments.length, arguments.fall_probability)
     return _random_walk("bridge", title, model, seed=0)
 
 
-def _random_walk(name: str, title: str, model: SafeMDP, seed: int) -> Scene:
+def _random_walk(name: str, title: str, model: SafeMDP, seed: int) -> TaskScene:
     """A scene whose task policy takes each action with the same probability."""
     assert model.initial is not None
     policy = np.full((model.num_states, model.num_actions), 1 / model.num_actions)
     start = int(np.flatnonzero(model.initial)[0])
-    return Scene(name, title, model, policy, start, steps=80, seed=seed)
+    return TaskScene(name, title, model, policy, start, steps=80, seed=seed)
 
 
 def _late(lattice: BrakeLattice) -> NDArray[np.int64]:
@@ -134,7 +134,7 @@ def _lattice(arguments: argparse.Namespace) -> BrakeLattice:
 
 
 def brake_critics(
-    scene: Scene, labelling: Labelling, arguments: argparse.Namespace
+    scene: TaskScene, labelling: Labelling, arguments: argparse.Namespace
 ) -> tuple[list[Boundary], list[Blocked]]:
     """What the critics of several drivers call unsafe at gamma^H, and what they block.
 
@@ -182,7 +182,7 @@ def _unsafe(values: Values, labelling: Labelling, horizon: int) -> NDArray[np.bo
 
 
 def map_actions(
-    scene: Scene, labelling: Labelling, arguments: argparse.Namespace
+    scene: TaskScene, labelling: Labelling, arguments: argparse.Namespace
 ) -> tuple[NDArray[np.bool_], str]:
     """Safe actions, bool (S, A); where none is safe, the least risky ones; and their name."""
     arrows = safe_actions(scene.model, labelling)
@@ -193,19 +193,23 @@ def map_actions(
     return arrows, "safe action; at risk: least risky action"
 
 
-def runs(scene: Scene, gamma_safe: float, epsilon_safe: Discount, exact: bool = False) -> list[Run]:
+def episodes(
+    scene: TaskScene, gamma_safe: float, epsilon_safe: Discount, exact: bool = False
+) -> list[Episode]:
     """The same task policy from the same start, without and with behavior correction."""
     values = value_iteration(scene.model, gamma_safe, exact=exact)
     everything = scene.model.available
     allowed = allowed_actions(values, epsilon_safe)
     recovery = recovery_policy(values.Q)
     return [
-        _run(scene, "task policy alone", everything, recovery),
-        _run(scene, "with behavior correction", allowed, recovery),
+        _episode(scene, "task policy alone", everything, recovery),
+        _episode(scene, "with behavior correction", allowed, recovery),
     ]
 
 
-def _run(scene: Scene, name: str, allowed: NDArray[np.bool_], recovery: NDArray[np.int_]) -> Run:
+def _episode(
+    scene: TaskScene, name: str, allowed: NDArray[np.bool_], recovery: NDArray[np.int_]
+) -> Episode:
     """One episode of Algorithm 2's interaction: an action that is not allowed is replaced."""
     rng = np.random.default_rng(scene.seed)
     model, kernel = scene.model, scene.model.transitions()
@@ -220,7 +224,7 @@ def _run(scene: Scene, name: str, allowed: NDArray[np.bool_], recovery: NDArray[
             action = int(recovery[state])
         start, stop = kernel.indptr[state * model.num_actions + action :][:2]
         states.append(int(rng.choice(kernel.indices[start:stop], p=kernel.data[start:stop])))
-    return Run(name, np.array(states), np.array(corrected, dtype=bool))
+    return Episode(name, np.array(states), np.array(corrected, dtype=bool))
 
 
 def threshold(model: SafeMDP, arguments: argparse.Namespace) -> Discount:

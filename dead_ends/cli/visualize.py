@@ -17,17 +17,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from dead_ends.cli.scenes import (
-    Scene,
+    TaskScene,
     brake_critics,
     brake_scene,
     bridge_scene,
+    episodes,
     gridworld_scene,
     lifegate_scene,
     map_actions,
-    runs,
     threshold,
 )
-from dead_ends.draw.animation import Run, animate_runs
+from dead_ends.draw.animation import Episode, animate_episodes
 from dead_ends.draw.pictures import plot_boundaries, plot_map
 from dead_ends.envs.brake import BrakeLattice
 from dead_ends.io.atomic import atomic_path, check_target
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 FORMATS = (".png", ".svg", ".pdf")
 
 
-def brake_figure(scene: Scene, labelling: Labelling, arguments: argparse.Namespace) -> Figure:
+def brake_figure(scene: TaskScene, labelling: Labelling, arguments: argparse.Namespace) -> Figure:
     """The paper's first figure from exact values, and what each critic takes away."""
     gamma = arguments.gamma_safe
     power = scientific(gamma, labelling.horizon or 0, digits=3)
@@ -58,13 +58,13 @@ def brake_figure(scene: Scene, labelling: Labelling, arguments: argparse.Namespa
     )
 
 
-def map_figure(scene: Scene, labelling: Labelling, arguments: argparse.Namespace) -> Figure:
+def map_figure(scene: TaskScene, labelling: Labelling, arguments: argparse.Namespace) -> Figure:
     """Labels, survival times and safe actions; where none is safe, the least risky ones."""
     arrows, name = map_actions(scene, labelling, arguments)
     return plot_map(scene.model, labelling, title=scene.title, actions=arrows, actions_name=name)
 
 
-def summary(scene: Scene, labelling: Labelling, gamma_safe: float, exact: bool = False) -> str:
+def summary(scene: TaskScene, labelling: Labelling, gamma_safe: float, exact: bool = False) -> str:
     """The numbers that belong to the picture, a line each."""
     interval = threshold_interval(scene.model, gamma_safe, exact=exact)
     rows = [
@@ -98,9 +98,11 @@ def write_figure(figure: Figure, path: Path) -> None:
         figure.savefig(temporary, dpi=150)
 
 
-def write_animation(scene: Scene, labelling: Labelling, episodes: list[Run], path: Path) -> None:
+def write_animation(
+    scene: TaskScene, labelling: Labelling, episodes: list[Episode], path: Path
+) -> None:
     """Save the animated GIF whole or not at all; the end is held for two seconds."""
-    frames = animate_runs(scene.model, labelling, episodes, title=scene.title)
+    frames = animate_episodes(scene.model, labelling, episodes, title=scene.title)
     durations = [125] * (len(frames) - 1) + [2000]
     with atomic_path(path) as temporary:
         frames[0].save(
@@ -150,8 +152,8 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-SceneBuilder = Callable[[argparse.Namespace], Scene]
-Drawer = Callable[[Scene, Labelling, argparse.Namespace], "Figure"]
+SceneBuilder = Callable[[argparse.Namespace], TaskScene]
+Drawer = Callable[[TaskScene, Labelling, argparse.Namespace], "Figure"]
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -213,7 +215,7 @@ def _complain(message: str) -> int:
 
 
 def _draw(arguments: argparse.Namespace) -> None:
-    scene: Scene = arguments.build(arguments)
+    scene: TaskScene = arguments.build(arguments)
     labelling = classify(scene.model)
     print(summary(scene, labelling, arguments.gamma_safe, arguments.exact))
     figure: Figure = arguments.draw(scene, labelling, arguments)
@@ -226,8 +228,8 @@ def _draw(arguments: argparse.Namespace) -> None:
         print(f"picture    {path}")
     if arguments.gif is not None:
         epsilon = threshold(scene.model, arguments)
-        episodes = runs(scene, arguments.gamma_safe, epsilon, arguments.exact)
-        write_animation(scene, labelling, episodes, arguments.gif)
+        shown = episodes(scene, arguments.gamma_safe, epsilon, arguments.exact)
+        write_animation(scene, labelling, shown, arguments.gif)
         print(f"animation  {arguments.gif}")
     if window:
         _show(figure)

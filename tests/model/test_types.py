@@ -17,7 +17,7 @@ from dead_ends import SafeMDP, classify, greedy_actions
 TYPES = ("SafeMDP", "Values", "Labelling", "Certificate", "ExpectedSurvival")
 ELSEWHERE = (
     "cli.page_answers.page_answers",
-    "draw.animation.animate_runs",
+    "draw.animation.animate_episodes",
     "draw.page.draw_page",
     "draw.pictures.plot_boundaries",
     "draw.pictures.plot_map",
