@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from dead_ends.cli.output import add_output_argument, check_output
-from dead_ends.cli.source import add_source_arguments, read_source
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from dead_ends.cli.source import add_source_arguments, read_policy, read_source
 
 SUMMARY = "write a page that shows labels, witnesses and what critics block"
 
@@ -37,22 +33,10 @@ def run(arguments: argparse.Namespace) -> int:
     if Path(arguments.out).suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"{arguments.out}: the page is written as .html")
     model = read_source(arguments)
-    policies = {path.stem: _read_policy(path) for path in arguments.policy or ()}
+    policies = {path.stem: read_policy(path) for path in arguments.policy or ()}
     answers = page_answers(model, policies or None)
     page = draw_page(model, answers, Path(arguments.file).stem)
     with atomic_path(arguments.out) as temporary:
         temporary.write_text(page, encoding="utf-8")
     print(f"wrote {arguments.out}")
     return 0
-
-
-def _read_policy(path: Path) -> NDArray[Any]:
-    import numpy as np
-
-    try:
-        policy = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError) as error:
-        raise ValueError(f"{path}: not a policy in .npy form: {error}") from None
-    if not isinstance(policy, np.ndarray):
-        raise ValueError(f"{path}: not a policy in .npy form: it holds several arrays")
-    return policy

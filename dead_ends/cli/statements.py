@@ -12,6 +12,7 @@ from dead_ends.cli.source import (
     add_source_arguments,
     parse_threshold,
     print_rows,
+    read_policy,
     read_source,
 )
 
@@ -46,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     from dead_ends.paper import verify_statements
     from dead_ends.values.discount import read_discount
 
-    policy = None if arguments.policy is None else _read_policy(arguments.policy)
+    policy = None if arguments.policy is None else read_policy(arguments.policy)
     gamma, _ = read_discount(arguments.gamma_safe, arguments.exact)
     found = verify_statements(model, gamma, arguments.epsilon_safe, policy)
     print(f"{arguments.file}: {model!r}")
@@ -56,15 +57,6 @@ def run(arguments: argparse.Namespace) -> int:
         for text in filter(None, (statement.claim, statement.detail)):
             print(textwrap.fill(text, 92, initial_indent="       ", subsequent_indent="       "))
     return 0
-
-
-def _read_policy(path: str) -> Any:
-    import numpy as np
-
-    try:
-        return np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise ValueError(f"{path}: not a policy in NumPy's .npy format: {error}") from None
 
 
 def _rows(found: Verification, policy: str | None) -> list[tuple[str, Any]]:

@@ -145,7 +145,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize(
     ("content", "message"),
-    [(b"no array", "not a policy in NumPy's .npy format"), (None, "not a policy")],
+    [(b"no array", "not a policy in .npy form"), (None, "policy.npy: No such file")],
 )
 def test_a_policy_that_cannot_be_read(
     content: bytes | None, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -159,6 +159,13 @@ def test_a_policy_that_cannot_be_read(
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+
+
+def test_an_archive_is_no_policy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "model.npz"
+    save_npz(path, rrl_model())
+    assert main(["statements", str(path), "--policy", str(path)]) == 2
+    assert "not a policy in .npy form: it holds several arrays" in capsys.readouterr().err
 
 
 def test_predicates_name_the_place() -> None:
