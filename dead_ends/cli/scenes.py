@@ -212,7 +212,7 @@ def _episode(
 ) -> Episode:
     """One episode of Algorithm 2's interaction: an action that is not allowed is replaced."""
     rng = np.random.default_rng(scene.seed)
-    model, kernel = scene.model, scene.model.transitions()
+    model, matrix = scene.model, scene.model.transitions()
     states, corrected = [scene.start], []
     for _ in range(scene.steps):
         state = states[-1]
@@ -222,8 +222,8 @@ def _episode(
         corrected.append(not allowed[state, action])
         if corrected[-1]:
             action = int(recovery[state])
-        start, stop = kernel.indptr[state * model.num_actions + action :][:2]
-        states.append(int(rng.choice(kernel.indices[start:stop], p=kernel.data[start:stop])))
+        start, stop = matrix.indptr[state * model.num_actions + action :][:2]
+        states.append(int(rng.choice(matrix.indices[start:stop], p=matrix.data[start:stop])))
     return Episode(name, np.array(states), np.array(corrected, dtype=bool))
 
 

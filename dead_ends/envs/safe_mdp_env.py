@@ -74,7 +74,7 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
         self.state = int(np.flatnonzero(model.initial)[0])
         self._starts = np.flatnonzero(model.initial)
         self._start_bounds = np.cumsum(model.initial[self._starts])
-        self._kernel = model.transitions()
+        self._matrix = model.transitions()
         self._mask = model.available.astype(np.int8)
         self._ended = model.fail | model.terminal
 
@@ -103,8 +103,8 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
         start, stop = self._row(before, action)
         chosen = 0
         if stop - start > 1:
-            chosen = self._draw(np.cumsum(self._kernel.data[start:stop]))
-        self.state = int(self._kernel.indices[start + chosen])
+            chosen = self._draw(np.cumsum(self._matrix.data[start:stop]))
+        self.state = int(self._matrix.indices[start + chosen])
         violation = bool(self.model.fail[self.state])
         terminated = bool(self._ended[self.state])
         return self.state, self._reward(before, action), terminated, False, self._info(violation)
@@ -135,7 +135,7 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
 
     def _row(self, state: int, action: int) -> tuple[int, int]:
         row = state * self.model.num_actions + action
-        return int(self._kernel.indptr[row]), int(self._kernel.indptr[row + 1])
+        return int(self._matrix.indptr[row]), int(self._matrix.indptr[row + 1])
 
     def _reward(self, state: int, action: int) -> float:
         return 0.0 if self.model.rewards is None else float(self.model.rewards[state, action])
@@ -153,10 +153,10 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
         reward = self._reward(state, action)
         return [
             (
-                float(self._kernel.data[entry]),
-                int(self._kernel.indices[entry]),
+                float(self._matrix.data[entry]),
+                int(self._matrix.indices[entry]),
                 reward,
-                bool(self._ended[self._kernel.indices[entry]]),
+                bool(self._ended[self._matrix.indices[entry]]),
             )
             for entry in range(*self._row(state, action))
         ]

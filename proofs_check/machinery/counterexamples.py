@@ -73,9 +73,9 @@ def size(case: Case) -> tuple[int, int]:
 
 def _moves(model: SafeMDP) -> int:
     """The number of pairs s -> s' with s' != s."""
-    kernel = model.transitions()
-    sources = np.repeat(np.arange(kernel.shape[0]), np.diff(kernel.indptr)) // model.num_actions
-    return len({(int(s), int(t)) for s, t in zip(sources, kernel.indices, strict=True) if s != t})
+    matrix = model.transitions()
+    sources = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr)) // model.num_actions
+    return len({(int(s), int(t)) for s, t in zip(sources, matrix.indices, strict=True) if s != t})
 
 
 def named(case: Case) -> SafeMDP:
@@ -106,8 +106,8 @@ def named(case: Case) -> SafeMDP:
 
 def digest(model: SafeMDP) -> str:
     """A name of the model's transitions, written into its picture."""
-    kernel = model.transitions()
-    text = f"{kernel.indptr.tolist()} {kernel.indices.tolist()} {model.exact_probabilities()}"
+    matrix = model.transitions()
+    text = f"{matrix.indptr.tolist()} {matrix.indices.tolist()} {model.exact_probabilities()}"
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -188,13 +188,13 @@ def _positions(case: Case) -> list[tuple[float, float]]:
 
 def _edges(model: SafeMDP) -> list[tuple[int, int, int, str]]:
     """(state, action, successor, probability unless 1)."""
-    kernel, data = model.transitions(), model.exact_probabilities()
+    matrix, data = model.transitions(), model.exact_probabilities()
     edges = []
-    for row in range(kernel.shape[0]):
-        for i in range(int(kernel.indptr[row]), int(kernel.indptr[row + 1])):
+    for row in range(matrix.shape[0]):
+        for i in range(int(matrix.indptr[row]), int(matrix.indptr[row + 1])):
             label = "" if data[i] == 1 else str(data[i])
             edges.append(
-                (row // model.num_actions, row % model.num_actions, int(kernel.indices[i]), label)
+                (row // model.num_actions, row % model.num_actions, int(matrix.indices[i]), label)
             )
     return edges
 
