@@ -1,4 +1,4 @@
-"""``certify FILE --out CERTIFICATE``: labels with witnesses that ``check`` verifies."""
+"""``certify FILE --out CERTIFICATE``: labels with witnesses that ``check`` checks."""
 
 from __future__ import annotations
 

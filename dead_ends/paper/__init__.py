@@ -7,7 +7,7 @@
 The conventions of V_c and Q_c, the readings of the policy set, the expectile critic and the
 paper's objectives are defined where they are used, and are here by the same names.
 
-`python -m dead_ends verify FILE` prints the report.
+`python -m dead_ends statements FILE` prints the report.
 """
 
 from dead_ends.paper.methods import (
@@ -40,7 +40,7 @@ from dead_ends.paper.predicates import (
     unsafe_allowed,
     unsafe_minimisers,
 )
-from dead_ends.paper.verification import Statement, Verification, verify_report
+from dead_ends.paper.verification import Statement, Verification, verify_statements
 from dead_ends.safety.planning import PlanResult, PriceOfConservatism, plan, price_of_conservatism
 from dead_ends.safety.policies import Reading, in_policy_set
 from dead_ends.values.conventions import CriticConvention, ValueConvention
@@ -84,5 +84,5 @@ __all__ = [
     "time_bound",
     "unsafe_allowed",
     "unsafe_minimisers",
-    "verify_report",
+    "verify_statements",
 ]

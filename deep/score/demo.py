@@ -64,7 +64,7 @@ def demo(config: DemoConfig, *, quiet: bool = False) -> dict[str, tuple[Boundary
             score_boundary(critic_table(LearnedFilter(answer.task, f), points), f.threshold, points)
             for f in filters
         )
-        boundary_axes(axes, answer, filters, f"{name}: dead-ends (red), learned (blue)")
+        boundary_axes(axes, answer, filters, f"{name}: dead-ends (orange), learned (blue)")
     with atomic_path(config.out / "demo.png") as temporary:
         figure.savefig(temporary, dpi=150)
     return scores

@@ -58,7 +58,7 @@ def test_a_slow_chain_has_an_answer(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().err.endswith("]: use --exact\n")
     assert main(["explain", "longer.npz", "30", "--exact"]) == 0
     assert "fails with probability 0.5, " in capsys.readouterr().out
-    assert main(["verify", "longer.npz"]) == 0
+    assert main(["statements", "longer.npz"]) == 0
 
 
 def test_labels_are_told_even_if_the_threshold_is_not(
@@ -92,9 +92,9 @@ def test_no_false_equality_is_printed(capsys: pytest.CaptureFixture[str], exact:
     threshold = json.loads(capsys.readouterr().out)["threshold"]
     assert (threshold["at_most"], threshold["recommended"]) == (None, None)
     assert threshold["exponent"] == 1200
-    assert main(["verify", "long.npz", "--gamma-safe", "0.5"]) == 2
+    assert main(["statements", "long.npz", "--gamma-safe", "0.5"]) == 2
     assert capsys.readouterr().err.endswith("which is smaller than every float: use --exact\n")
-    assert main(["verify", "long.npz", "--gamma-safe", "0.5", "--exact"]) == 0
+    assert main(["statements", "long.npz", "--gamma-safe", "0.5", "--exact"]) == 0
     out = capsys.readouterr().out
     assert "holds  Theorem 2" in out
     assert "gamma_safe^(H-1) is about 1.16154e-361" in out
@@ -121,12 +121,12 @@ def test_an_estimate_is_called_one(capsys: pytest.CaptureFixture[str]) -> None:
     assert json.loads(Path("labels.json").read_text())["summary"]["estimate"] is True
     assert main(["explain", "log.npz", "0"]) == 0
     assert "This is said of an estimate from a log" in capsys.readouterr().out
-    assert main(["verify", "log.npz"]) == 0
+    assert main(["statements", "log.npz"]) == 0
     assert "SafeMDP(stochastic, an estimate, " in capsys.readouterr().out
     assert main(["export", "log.npz", "--out", "filter.json"]) == 0
     assert "the filter is of an estimate from a log" in capsys.readouterr().err
     assert load_filter("filter.json").metadata["estimate"] is True
-    assert main(["report", "log.npz", "--out", "page.html"]) == 0
+    assert main(["page", "log.npz", "--out", "page.html"]) == 0
     assert '"estimate":true' in Path("page.html").read_text()
     capsys.readouterr()
     assert main(["certify", "log.npz", "--out", "c.json"]) == 2

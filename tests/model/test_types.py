@@ -18,8 +18,9 @@ from dead_ends.safety.policies import greedy_actions
 TYPES = ("SafeMDP", "Values", "Labelling", "Certificate", "FilterTable", "ExpectedSurvival")
 ELSEWHERE = (
     "certificates.certificate.save_certificate",
-    "draw.animation.animate_runs",
-    "draw.page.report_page",
+    "cli.page_answers.page_answers",
+    "draw.animation.animate_episodes",
+    "draw.page.draw_page",
     "draw.pictures.plot_boundaries",
     "draw.pictures.plot_map",
     "envs.safe_mdp_env.SafeMDPEnv",
@@ -34,7 +35,7 @@ ELSEWHERE = (
     "paper.price_of_conservatism",
     "paper.rrl",
     "paper.rrl_msdp",
-    "paper.verification.verify_report",
+    "paper.verification.verify_statements",
     "safety.guarantees.episode_guarantee",
     "safety.guarantees.expected_survival",
     "safety.guarantees.one_step_risk",
