@@ -21,7 +21,7 @@ from dead_ends.io.atomic import atomic_path
 from deep.data.collect import Policy, random_policy, sb3_policy, towards_obstacle_policy
 from deep.filter.safety_filter import SafetyFilter
 from deep.filter.thresholds import paper_threshold
-from deep.pretrain import SETTINGS
+from deep.pretrain import FORMS
 from deep.pretrain.config import Mix, PretrainConfig
 from deep.pretrain.run import pretrain
 from deep.score.boundary import (
@@ -72,7 +72,7 @@ class CompareConfig:
 
     task: str
     out: Path
-    methods: tuple[str, ...] = tuple(SETTINGS)
+    methods: tuple[str, ...] = tuple(FORMS)
     seeds: tuple[int, ...] = tuple(range(8))
     updates: int = 4000
     transitions: int = 40_000
@@ -85,9 +85,9 @@ class CompareConfig:
     device: str = "cpu"
 
     def __post_init__(self) -> None:
-        unknown = set(self.methods) - set(SETTINGS)
+        unknown = set(self.methods) - set(FORMS)
         if unknown or not self.methods:
-            raise ValueError(f"methods must be some of {', '.join(SETTINGS)}")
+            raise ValueError(f"methods must be some of {', '.join(FORMS)}")
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def _trained(
 ) -> tuple[SafetyFilter, ...]:
     run = PretrainConfig(
         task=config.task,
-        method=SETTINGS[method](),
+        method=FORMS[method].settings(),
         seeds=config.seeds,
         updates=config.updates,
         horizon=horizon,
@@ -211,9 +211,10 @@ def _filter_scores(
     """The scores at the method's own threshold and at the others that are of interest."""
     table = critic_table(LearnedGate(answer.task, safety), points)
     horizon_rule = paper_threshold(safety.gamma_safe, answer.horizon)
-    rules = {"gamma^(H+1/2)": horizon_rule, f"{CODE_THRESHOLD}": CODE_THRESHOLD}
-    if method == "dea-rrl-annealed":
-        rules = {"gamma^H/4": safety.threshold, "gamma^(H+1/2)": horizon_rule}
+    form = FORMS[method]
+    rules = {form.threshold_rule: safety.threshold, "gamma^(H+1/2)": horizon_rule}
+    if form.discount is None:
+        rules[f"{CODE_THRESHOLD}"] = CODE_THRESHOLD
     return tuple(
         _score(
             config,

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from deep.pretrain import FORMS
 from deep.study.paper_results import paper_place
 from deep.study.statistics import Floats
 
@@ -30,11 +31,7 @@ METHODS: Mapping[str, str] = MappingProxyType(
     {
         "sac": "SAC",
         "wcsac": "WCSAC",
-        "rrl": "RRL",
-        "rrl-msdp": "RRL (MSDP)",
-        "dea-rrl": "DEA-RRL",
-        "dea-rrl-annealed": "DEA-RRL (annealed)",
-        "dearrl-iql": "DEARRL (IQL)",
+        **{name: form.title for name, form in FORMS.items()},
         "iql": "IQL",
     }
 )

@@ -29,7 +29,7 @@ from tqdm import tqdm
 from deep.data.normalisation import Normalisation, with_action_bounds
 from deep.data.scaling import Scaling
 from deep.filter.task_policy import TrainedPolicy
-from deep.pretrain import Learner, method_name
+from deep.pretrain import Learner, form_of
 from deep.pretrain.run import read_run
 from deep.runs.checkpoint import load_checkpoint, save_checkpoint
 from deep.runs.folder import CsvLog, InterruptAfterUpdate, only_process
@@ -97,7 +97,7 @@ def method_of(config: TrainConfig) -> str:
     """The run's name in the tables: the correction's form, or the task learner's."""
     if config.safety is None:
         return task_method_name(config.method)
-    return method_name(read_run(config.safety).method)
+    return form_of(read_run(config.safety).method).name
 
 
 class _State(nn.Module):

@@ -12,6 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from deep.data.collect import random_policy, towards_obstacle_policy
+from deep.pretrain import DeaRrlAnnealedSettings
 from deep.score.boundary import (
     LearnedGate,
     OracleGate,
@@ -314,7 +315,7 @@ def test_compare_trains_scores_and_draws_every_method(tmp_path: Path) -> None:
     table = (tmp_path / "run" / "summary.md").read_text()
     assert table == summary_table(scores)
     assert "| oracle | exact labels = 1.000 | 0.00 [0.00, 0.00] |" in table
-    with pytest.raises(ValueError, match="methods must be some of dea-rrl-annealed, dea-rrl, "):
+    with pytest.raises(ValueError, match="methods must be some of rrl, rrl-msdp, "):
         replace(config, methods=("sac",))
     with pytest.raises(ValueError, match="holds a comparison with another configuration"):
         compare(replace(config, points=301), quiet=True)
@@ -335,7 +336,8 @@ def test_a_sweep_varies_one_thing_at_a_time() -> None:
     assert len(recipe) == 1
     for name, value, run in runs:
         if name == "last expectile":
-            assert run.method.final_expectile == value  # type: ignore[union-attr]  # annealed
+            assert isinstance(run.method, DeaRrlAnnealedSettings)
+            assert run.method.final_expectile == value
         if name == "share of corner actions":
             assert (run.mix.corners, run.mix.random) == (value, 1 - value)
     figure = sweep_figure("brake", [SweepScore("gamma_safe", 0.5, 0, 0.0, 0.1)])
