@@ -20,9 +20,10 @@ from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, MaxNLocat
 
 from deep.pretrain import FORMS
 from deep.pretrain.learner import LineStyle
-from deep.study.saved_runs import Run, SeedResult, Study
+from deep.study.saved_runs import Run, Study
 from deep.study.statistics import Floats, band, estimate
 from deep.study.tables import EPSILON_FORMS, ablation_forms, label
+from deep.train.result import SeedResult
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,8 +12,9 @@ import numpy as np
 
 from deep.pretrain import FORMS
 from deep.study.paper_results import PaperScore, paper_score
-from deep.study.saved_runs import METHODS, Run, SeedResult, Study
+from deep.study.saved_runs import METHODS, Run, Study
 from deep.study.statistics import Estimate, estimate
+from deep.train.result import SeedResult
 
 __all__ = [
     "EPSILON_FORMS",

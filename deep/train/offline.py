@@ -39,6 +39,8 @@ from deep.train.learner import TaskBatch, TaskLosses
 from deep.train.result import (
     EPISODES_KEPT_APART,
     EVALUATIONS,
+    Budget,
+    SeedResult,
     TrainResult,
     check_folder,
     checked_losses,
@@ -47,7 +49,6 @@ from deep.train.result import (
     open_folder,
     read_result,
     save_all,
-    seed_entry,
     task_policies,
     write_result,
 )
@@ -240,20 +241,12 @@ class _Run:
         rules = config.environment_rules
         found = evaluate(config.task, policies, (), config.episodes, rules=rules)
         save_all(self.folder / "policies", config.seeds, policies)
-        budget = {
-            "env_steps": 0,
-            "updates": self.updates,
-            "wall_seconds": round(self.seconds, 1),
-            "evaluation_episodes": config.episodes,
-        }
+        budget = Budget(0, self.updates, round(self.seconds, 1), config.episodes)
         seeds = [
-            seed_entry(seed, e, tv=0, episodes=0, training_arr=0.0, threshold=None)
+            SeedResult.of(seed, e, tv=0, episodes=0, training_arr=0.0)
             for seed, e in zip(config.seeds, found, strict=True)
         ]
-        write_result(
-            self.folder,
-            {"task": config.task, "method": Iql.name, "budget": budget, "seeds": seeds},
-        )
+        write_result(self.folder, config.task, Iql.name, budget, seeds)
 
 
 def _check_fit(config: OfflineConfig, data: Transitions, sizes: Sizes, bounds: Bounds) -> None:

@@ -50,6 +50,8 @@ from deep.train.replay import Arrival, Replay
 from deep.train.result import (
     EPISODES_KEPT_APART,
     EVALUATIONS,
+    Budget,
+    SeedResult,
     TrainResult,
     check_folder,
     checked_losses,
@@ -58,7 +60,6 @@ from deep.train.result import (
     open_folder,
     read_result,
     save_all,
-    seed_entry,
     task_policies,
     write_result,
 )
@@ -276,7 +277,7 @@ class _Run:
         save_all(self.folder / "filters", config.seeds, filters)
         thresholds = [f.threshold for f in filters] or self.learner.limits
         seeds = [
-            seed_entry(
+            SeedResult.of(
                 seed,
                 evaluated,
                 tv=int(counts.violations[k]),
@@ -286,16 +287,8 @@ class _Run:
             )
             for k, (seed, evaluated) in enumerate(zip(config.seeds, found, strict=True))
         ]
-        budget = {
-            "env_steps": config.steps,
-            "updates": self.updates,
-            "wall_seconds": round(counts.seconds, 1),
-            "evaluation_episodes": config.episodes,
-        }
-        write_result(
-            self.folder,
-            {"task": config.task, "method": self.method, "budget": budget, "seeds": seeds},
-        )
+        budget = Budget(config.steps, self.updates, round(counts.seconds, 1), config.episodes)
+        write_result(self.folder, config.task, self.method, budget, seeds)
         if not config.keep_replay:
             self.replay.path.unlink()
 
