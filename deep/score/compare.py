@@ -9,7 +9,6 @@ labels enter nothing but the scores.
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, astuple, dataclass, fields
 from pathlib import Path
@@ -24,6 +23,8 @@ from deep.filter.thresholds import paper_threshold
 from deep.pretrain import FORMS
 from deep.pretrain.config import Mix, PretrainConfig
 from deep.pretrain.run import pretrain
+from deep.runs.bootstrap import percentile_interval
+from deep.runs.folder import open_folder
 from deep.score.boundary import (
     BoundaryScore,
     ClosedLoop,
@@ -125,13 +126,14 @@ class Interval:
     high: float
 
 
-def interval(values: Sequence[float], draws: int = 2000) -> Interval:
-    """The mean, and the percentiles of the means of resampled seeds."""
+def interval(values: Sequence[float]) -> Interval:
+    """The mean, and the percentiles of the means of resampled seeds; one seed is its own."""
     array = np.asarray(values, dtype=np.float64)
-    rng = np.random.default_rng(BOOTSTRAP_STREAM)
-    means = array[rng.integers(len(array), size=(draws, len(array)))].mean(axis=1)
-    low, high = np.percentile(means, [2.5, 97.5])
-    return Interval(float(array.mean()), float(low), float(high))
+    mean = float(array.mean())
+    if len(array) < 2:
+        return Interval(mean, mean, mean)
+    low, high = percentile_interval([array], np.mean, BOOTSTRAP_STREAM)
+    return Interval(mean, float(low), float(high))
 
 
 def trained_policy(task: Task, steps: int) -> Policy:
@@ -155,7 +157,8 @@ def compare(config: CompareConfig, *, quiet: bool = False) -> tuple[SeedScore, .
     answer = exact_answer(make_task(config.task))
     rng = np.random.default_rng(POINT_STREAM)
     points = box_points(answer, config.points, config.actions, config.near, rng)
-    _keep_config(config)
+    plain = asdict(config) | {"out": None}
+    open_folder(config.out, plain, file="compare.json", what="comparison")
     filters = {name: _trained(config, name, answer.horizon, quiet) for name in config.methods}
     makers = {
         "random": random_policy(answer.task),
@@ -173,16 +176,6 @@ def compare(config: CompareConfig, *, quiet: bool = False) -> tuple[SeedScore, .
     with atomic_path(config.out / "boundary.png") as temporary:
         boundary_figure(answer, filters).savefig(temporary, dpi=150)
     return scores
-
-
-def _keep_config(config: CompareConfig) -> None:
-    plain = asdict(config) | {"out": None}
-    path = config.out / "compare.json"
-    if path.exists() and json.loads(path.read_text()) != json.loads(json.dumps(plain)):
-        raise ValueError(f"{config.out} holds a comparison with another configuration")
-    config.out.mkdir(parents=True, exist_ok=True)
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(plain, indent=2) + "\n")
 
 
 def _trained(

@@ -29,7 +29,14 @@ from deep.data.normalisation import (
 )
 from deep.data.transitions import Transitions
 from deep.runs.checkpoint import load_checkpoint, save_checkpoint
-from deep.runs.folder import CsvLog, InterruptAfterUpdate, fingerprint, only_process
+from deep.runs.folder import (
+    CsvLog,
+    InterruptAfterUpdate,
+    check_folder,
+    fingerprint,
+    only_process,
+    open_folder,
+)
 from deep.tasks.bounds import Bounds
 from deep.tasks.gym import NO_RULES, Rules
 from deep.tasks.task import Sizes
@@ -42,11 +49,9 @@ from deep.train.result import (
     Budget,
     SeedResult,
     TrainResult,
-    check_folder,
     checked_losses,
     evaluate,
     evaluation_rows,
-    open_folder,
     read_result,
     save_all,
     task_policies,

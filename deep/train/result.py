@@ -5,18 +5,16 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from dead_ends.io.atomic import atomic_path
 from deep.data.normalisation import Normalisation
 from deep.filter.safety_filter import SafetyFilter
 from deep.filter.task_policy import TrainedPolicy
-from deep.runs.folder import check_unused, read_object, versions
+from deep.runs.folder import read_object, versions, write_json
 from deep.runs.record import Record
 from deep.tasks.gym import NO_RULES, Rules, rules_from_json
 from deep.tasks.vectorised import GYM, evaluation_copies
@@ -29,11 +27,9 @@ __all__ = [
     "Budget",
     "SeedResult",
     "TrainResult",
-    "check_folder",
     "checked_losses",
     "evaluate",
     "evaluation_rows",
-    "open_folder",
     "read_result",
     "read_seeds",
     "run_rules",
@@ -139,41 +135,6 @@ class TrainResult:
     seeds: tuple[SeedResult, ...]
 
 
-def check_folder(folder: Path, plain: dict[str, Any], data: str | None = None) -> None:
-    """Refuse a folder that holds another run; nothing is written.
-
-    Args:
-        folder: the run's.
-        plain: its configuration, as JSON values.
-        data: the fingerprint of the data it learns from, if they are a file.
-
-    Raises:
-        ValueError: if the folder holds another run, or what no run here has written, or the
-            data have changed since.
-    """
-    path = folder / "config.json"
-    if not path.exists():
-        check_unused(folder)
-        return
-    content = read_object(path, "run")
-    if content["run"] != json.loads(json.dumps(plain)):
-        raise ValueError(f"{folder} holds a run with another configuration")
-    if content.get("data") != data:
-        raise ValueError(f"{plain['data']}: the data have changed since the run began")
-
-
-def open_folder(folder: Path, plain: dict[str, Any], data: str | None = None) -> None:
-    """Begin a run in a new folder, or find the same one in an old folder, see
-    :func:`check_folder`.
-    """
-    check_folder(folder, plain, data)
-    path = folder / "config.json"
-    if not path.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        made = {"run": plain, "made with": versions()}
-        _write_json(path, made | ({"data": data} if data else {}))
-
-
 def run_rules(folder: Path) -> Rules:
     """What the run in this folder took its environment's rules to be.
 
@@ -274,7 +235,7 @@ def write_result(
     """``result.json``: task, method, budget and seeds, and with what they were made."""
     content: dict[str, Any] = {"task": task, "method": method, "budget": asdict(budget), **origin}
     content |= {"seeds": [asdict(seed) for seed in seeds], "made with": versions()}
-    _write_json(folder / "result.json", content)
+    write_json(folder / "result.json", content)
 
 
 def read_result(folder: Path) -> TrainResult:
@@ -297,8 +258,3 @@ def read_seeds(result: Record) -> tuple[SeedResult, ...]:
     if not seeds or len({seed.seed for seed in seeds}) < len(seeds):
         raise ValueError(f"{result.place}: seeds must be there, and none twice")
     return seeds
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=2) + "\n")

@@ -32,7 +32,7 @@ from deep.filter.task_policy import TrainedPolicy
 from deep.pretrain import Learner, form_of
 from deep.pretrain.run import read_run
 from deep.runs.checkpoint import load_checkpoint, save_checkpoint
-from deep.runs.folder import CsvLog, InterruptAfterUpdate, only_process
+from deep.runs.folder import CsvLog, InterruptAfterUpdate, check_folder, only_process, open_folder
 from deep.tasks.task import Sizes
 from deep.tasks.vectorised import Fleet
 from deep.train.config import (
@@ -53,11 +53,9 @@ from deep.train.result import (
     Budget,
     SeedResult,
     TrainResult,
-    check_folder,
     checked_losses,
     evaluate,
     evaluation_rows,
-    open_folder,
     read_result,
     save_all,
     task_policies,

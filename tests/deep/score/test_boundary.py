@@ -23,7 +23,7 @@ from deep.score.boundary import (
     safe_starts,
     score_boundary,
 )
-from deep.score.compare import CompareConfig, compare, interval, summary_table
+from deep.score.compare import CompareConfig, Interval, compare, interval, summary_table
 from deep.score.demo import DemoConfig, demo
 from deep.score.exact_answers import (
     ExactAnswer,
@@ -288,6 +288,12 @@ def test_intervals_hold_the_mean_and_shrink_to_it() -> None:
     assert spread.low < spread.mean == 0.5 < spread.high
     same = interval([0.25] * 5)
     assert same.low == same.mean == same.high == 0.25
+    assert interval([0.4]) == Interval(0.4, 0.4, 0.4)
+    # The middle 95% of 2000 means of seeds that are drawn again.
+    values = np.array([0.3, 0.9, 0.7, 0.2, 0.1])
+    means = values[np.random.default_rng(103).integers(5, size=(2000, 5))].mean(axis=1)
+    found = interval(list(values))
+    assert [found.low, found.high] == pytest.approx(np.percentile(means, [2.5, 97.5]))
 
 
 def test_compare_trains_scores_and_draws_every_method(tmp_path: Path) -> None:
