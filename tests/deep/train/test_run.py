@@ -114,10 +114,10 @@ def test_the_logs_are_what_a_recount_gives(
         found = [[float(row[name]) for name in names] for row in own]
         assert np.array(found) == pytest.approx(np.array(expected), rel=1e-5)
         last = trained.seeds[k]
-        assert last["seed"] == seed
-        assert [last["episodes"], last["tv"]] == expected[-1][1:3]
+        assert last.seed == seed
+        assert [last.episodes, last.tv] == expected[-1][1:3]
         replaced = columns["action"][k, :60] != columns["executed"][k, :60]
-        assert last["training_arr"] == pytest.approx(replaced.mean())
+        assert last.training_arr == pytest.approx(replaced.mean())
         assert (replaced.sum() > 0) == (safety is not None)
     losses = [(row["critic_loss"], row["policy_loss"]) for row in rows]
     # Where the row's own step had an update.
@@ -303,8 +303,8 @@ def test_a_finetuned_seed_of_a_batch_is_the_seed_alone(rrl: Path, tmp_path: Path
     config = replace(TINY, safety=rrl, threshold=(0.5,))
     both = train(config, tmp_path / "both", quiet=True)
     alone = train(replace(config, seeds=(3,)), tmp_path / "alone", quiet=True)
-    assert 0 < both.seeds[1]["training_arr"] < 1
-    assert both.seeds[1]["training_arr"] == alone.seeds[0]["training_arr"]
+    assert 0 < both.seeds[1].training_arr < 1
+    assert both.seeds[1].training_arr == alone.seeds[0].training_arr
     assert_same_run(tmp_path / "both", tmp_path / "alone", 3)
     filters = [
         SafetyFilter.load(tmp_path / name / "filters" / "seed3.safetensors")
