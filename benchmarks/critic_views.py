@@ -36,7 +36,7 @@ from dead_ends.io.atomic import atomic_path
 from deep.data.formats import write_hdf5
 from deep.filter.safety_filter import SafetyFilter
 from deep.filter.task_policy import TrainedPolicy
-from deep.pretraining import AnySettings, DeaRrlAnnealedSettings, DeaRrlSettings
+from deep.pretraining import DeaRrlAnnealedSettings, DeaRrlSettings, Settings
 from deep.pretraining.config import PretrainConfig
 from deep.pretraining.run import pretrain_in_folder
 from deep.tasks import PointGoal1
@@ -53,7 +53,7 @@ VARIANTS = {
     "100 steps, sharpened": (100, 24.0),
     "400 steps, lidars as they are": (400, 1.0),
 }
-FORMS: dict[str, tuple[AnySettings, tuple[float, ...]]] = {
+FORMS: dict[str, tuple[Settings, tuple[float, ...]]] = {
     "dea-rrl": (
         DeaRrlSettings(learning_rate=1e-3, batch_size=128, polyak=0.1),
         (0.3, 0.5, 0.7, 0.8),

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+
+from deep.train.result import SeedResult
 
 
-def seed_lines(seeds: Iterable[dict[str, Any]]) -> Iterable[str]:
+def seed_lines(seeds: Iterable[SeedResult]) -> Iterable[str]:
     """One line a seed of a result."""
-    for entry in seeds:
-        violations = "" if entry["tv"] is None else f", {entry['tv']} violations in training"
+    for one in seeds:
+        violations = "" if one.tv is None else f", {one.tv} violations in training"
         yield (
-            f"seed {entry['seed']}: ACR {entry['acr']:.3f}, AVR {entry['avr']:.3f}, "
-            f"ARR {entry['arr']:.3f}{violations}"
+            f"seed {one.seed}: ACR {one.acr:.3f}, AVR {one.avr:.3f}, ARR {one.arr:.3f}{violations}"
         )

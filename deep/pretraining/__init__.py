@@ -1,27 +1,28 @@
-"""Algorithm 1 in the paper's four forms and in this project's own."""
+"""Algorithm 1 in the paper's four forms and in this project's own: a file and a row each."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeAlias
 
+from deep.pretraining import dea_rrl, dea_rrl_annealed, dearrl_iql, rrl, rrl_msdp
 from deep.pretraining.dea_rrl import DeaRrl, DeaRrlSettings
 from deep.pretraining.dea_rrl_annealed import DeaRrlAnnealed, DeaRrlAnnealedSettings
 from deep.pretraining.dearrl_iql import DearrlIql, DearrlIqlSettings
-from deep.pretraining.learner import Learner, Losses, Settings
+from deep.pretraining.learner import Form, Learner, Losses, Settings
 from deep.pretraining.rrl import Rrl, RrlSettings, TaskPolicy, uniform_task_policy
 from deep.pretraining.rrl_msdp import RrlMsdp, RrlMsdpSettings
 from deep.tasks.task import Sizes
 
 __all__ = [
-    "SETTINGS",
-    "AnySettings",
+    "DEFAULT",
+    "FORMS",
     "DeaRrl",
     "DeaRrlAnnealed",
     "DeaRrlAnnealedSettings",
     "DeaRrlSettings",
     "DearrlIql",
     "DearrlIqlSettings",
+    "Form",
     "Learner",
     "Losses",
     "Rrl",
@@ -32,38 +33,27 @@ __all__ = [
     "Sizes",
     "TaskPolicy",
     "build_learner",
-    "method_name",
+    "form_of",
     "uniform_task_policy",
 ]
 
-AnySettings: TypeAlias = (
-    DeaRrlAnnealedSettings | DeaRrlSettings | DearrlIqlSettings | RrlSettings | RrlMsdpSettings
+ROWS = (
+    rrl.FORM,
+    rrl_msdp.FORM,
+    dea_rrl.FORM,
+    dea_rrl_annealed.FORM,
+    dearrl_iql.FORM,
 )
-
-SETTINGS: dict[str, type[AnySettings]] = {
-    DeaRrlAnnealed.name: DeaRrlAnnealedSettings,
-    DeaRrl.name: DeaRrlSettings,
-    DearrlIql.name: DearrlIqlSettings,
-    Rrl.name: RrlSettings,
-    RrlMsdp.name: RrlMsdpSettings,
-}
+FORMS: dict[str, Form] = {form.name: form for form in ROWS}
+"""By name, in the order of tables and legends; a new form is a file and a row."""
+DEFAULT = dea_rrl_annealed.FORM
 
 
-def build_learner(settings: AnySettings, sizes: Sizes, seeds: Sequence[int]) -> Learner:
+def form_of(settings: Settings) -> Form:
+    """The form that these settings belong to."""
+    return next(form for form in ROWS if type(settings) is form.settings)
+
+
+def build_learner(settings: Settings, sizes: Sizes, seeds: Sequence[int]) -> Learner:
     """The learner that these settings belong to, freshly initialised."""
-    match settings:
-        case DeaRrlAnnealedSettings():
-            return DeaRrlAnnealed(settings, sizes, seeds)
-        case DeaRrlSettings():
-            return DeaRrl(settings, sizes, seeds)
-        case DearrlIqlSettings():
-            return DearrlIql(settings, sizes, seeds)
-        case RrlSettings():
-            return Rrl(settings, sizes, seeds)
-        case RrlMsdpSettings():
-            return RrlMsdp(settings, sizes, seeds)
-
-
-def method_name(settings: AnySettings) -> str:
-    """The method's name on the command line."""
-    return next(name for name, kind in SETTINGS.items() if type(settings) is kind)
+    return form_of(settings).build(settings, sizes, seeds)

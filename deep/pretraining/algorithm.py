@@ -17,10 +17,10 @@ from deep.data.normalisation import Normalisation, Ranges, normalisation_of, nor
 from deep.data.transitions import Transitions
 from deep.filter.safety_filter import SafetyFilter
 from deep.pretraining import (
-    AnySettings,
-    DeaRrlAnnealedSettings,
+    DEFAULT,
     Learner,
     Losses,
+    Settings,
     Sizes,
     build_learner,
 )
@@ -59,7 +59,7 @@ def pretrain(
     log: Transitions,
     horizon: int | None = None,
     *,
-    method: AnySettings | None = None,
+    method: Settings | None = None,
     seeds: Sequence[int] = Training.seeds,
     updates: int = Training.updates,
     gamma_safe: float | None = None,
@@ -106,7 +106,7 @@ def pretrain(
     """
     training = resolve(
         Training(
-            method=DeaRrlAnnealedSettings() if method is None else method,
+            method=DEFAULT.settings() if method is None else method,
             seeds=tuple(seeds),
             updates=updates,
             horizon=horizon,

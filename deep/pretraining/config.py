@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar, Union
 
 import numpy as np
 import tyro
@@ -18,16 +18,7 @@ from deep.data.collect import (
     uniform_starts,
 )
 from deep.data.transitions import Transitions
-from deep.filter.thresholds import discount_from_horizon, low_threshold, paper_threshold
-from deep.pretraining import (
-    SETTINGS,
-    DeaRrlAnnealedSettings,
-    DearrlIqlSettings,
-    DeaRrlSettings,
-    RrlMsdpSettings,
-    RrlSettings,
-    method_name,
-)
+from deep.pretraining import DEFAULT, FORMS, Settings, form_of
 from deep.runs.folder import from_plain
 from deep.tasks import Task
 from deep.tasks.bounds import Bounds
@@ -45,13 +36,12 @@ __all__ = [
 
 AnyTraining = TypeVar("AnyTraining", bound="Training")
 
-MethodChoice = (
-    Annotated[DeaRrlAnnealedSettings, tyro.conf.subcommand("dea-rrl-annealed")]
-    | Annotated[DeaRrlSettings, tyro.conf.subcommand("dea-rrl")]
-    | Annotated[DearrlIqlSettings, tyro.conf.subcommand("dearrl-iql")]
-    | Annotated[RrlSettings, tyro.conf.subcommand("rrl")]
-    | Annotated[RrlMsdpSettings, tyro.conf.subcommand("rrl-msdp")]
-)
+if TYPE_CHECKING:
+    MethodChoice: TypeAlias = Settings
+else:  # the command line asks which form's
+    MethodChoice = Union[  # noqa: UP007  (of as many as there are rows)
+        tuple(Annotated[f.settings, tyro.conf.subcommand(f.name)] for f in FORMS.values())
+    ]
 
 
 @dataclass(frozen=True)
@@ -102,12 +92,11 @@ class Training:
         updates: minibatch updates.
         horizon: H, the most steps from a dead-end to the violation; None: the task's own,
             where it has an exact answer.
-        gamma_safe: None: H / (H + 1) for dea-rrl-annealed, the settings' for the others.
+        gamma_safe: None: what the form makes of H, or the settings' where it makes nothing.
         sharpness: power to which the critic raises the observations' closenesses, the
             coordinates that stay in [0, 1] (lidars), before it normalises them: 1 leaves
             them; a high one spreads the last centimetres before an obstacle.
-        threshold: None: gamma_safe^H / 4 for dea-rrl-annealed, gamma_safe^(H + 1/2) for
-            the others.
+        threshold: None: by the form's rule, gamma_safe^(H + 1/2) or gamma_safe^H / 4.
         action_low: the environment's lower action bounds, one number a coordinate, for
             data whose actions do not show them; None: the least in the data.
         action_high: the upper ones, likewise.
@@ -115,7 +104,7 @@ class Training:
         log_every: updates between two looks at the losses, two rows of progress.csv.
     """
 
-    method: MethodChoice = field(default_factory=DeaRrlAnnealedSettings)
+    method: MethodChoice = field(default_factory=DEFAULT.settings)
     seeds: tuple[int, ...] = (0,)
     updates: int = 4000
     horizon: int | None = None
@@ -196,20 +185,20 @@ def resolve(config: AnyTraining, horizon: int | None = None) -> AnyTraining:
         ValueError: if the discount or the threshold needs a horizon and there is none.
     """
     horizon = config.horizon if config.horizon is not None else horizon
-    annealed = isinstance(config.method, DeaRrlAnnealedSettings)
-    gamma, threshold = config.gamma_safe, config.threshold
-    if horizon is None and (threshold is None or (annealed and gamma is None)):
+    form, gamma, threshold = form_of(config.method), config.gamma_safe, config.threshold
+    if horizon is None and (threshold is None or (form.discount and gamma is None)):
         raise ValueError(
             "give the horizon (the most steps from a dead-end to the violation), "
             "or both gamma_safe and threshold"
         )
     if gamma is None:
-        assert horizon is not None or not annealed
-        gamma = discount_from_horizon(horizon or 0) if annealed else config.method.gamma_safe
+        gamma = config.method.gamma_safe
+        if form.discount:
+            assert horizon is not None
+            gamma = form.discount(horizon)
     if threshold is None:
         assert horizon is not None
-        rule = low_threshold if annealed else paper_threshold
-        threshold = rule(gamma, horizon)
+        threshold = form.threshold(gamma, horizon)
     return replace(
         config,
         horizon=horizon,
@@ -228,7 +217,7 @@ def config_to_json(config: PretrainConfig) -> dict[str, Any]:
     plain = asdict(config)
     plain = {k: v for k, v in plain.items() if k not in WHEN_GIVEN or v != WHEN_GIVEN[k]}
     plain["data"] = None if config.data is None else str(config.data)
-    plain["method"] = {"name": method_name(config.method), **plain["method"]}
+    plain["method"] = {"name": form_of(config.method).name, **plain["method"]}
     return plain
 
 
@@ -240,7 +229,7 @@ def config_from_json(plain: dict[str, Any]) -> PretrainConfig:
     """
     try:
         settings = dict(plain["method"])
-        kind = SETTINGS[settings.pop("name")]
+        kind = FORMS[settings.pop("name")].settings
         data = plain["data"]
         nested = {"method": from_plain(kind, settings), "mix": from_plain(Mix, plain["mix"])}
         path = None if data is None else Path(data)

@@ -18,10 +18,10 @@ import torch
 from deep.data.minibatches import Batch
 from deep.nn.losses import advantage_policy_gradient, q_loss, q_target, v_loss
 from deep.nn.networks import Critic, GaussianPolicy, StateValue, adam, copy_slowly, minimise
-from deep.pretraining.learner import Learner, Losses, Settings
+from deep.pretraining.learner import Form, Learner, Losses, Settings
 from deep.tasks.task import Sizes
 
-__all__ = ["DeaRrl", "DeaRrlSettings"]
+__all__ = ["FORM", "DeaRrl", "DeaRrlSettings"]
 
 
 @dataclass(frozen=True)
@@ -94,3 +94,13 @@ class DeaRrl(Learner):
     def optimizers(self) -> tuple[torch.optim.Optimizer, ...]:
         """Critic, value, recovery."""
         return self._optimizers
+
+
+FORM = Form(
+    title="DEA-RRL",
+    settings=DeaRrlSettings,
+    learner=DeaRrl,
+    color="#0072B2",
+    plugged=True,
+    proposed=True,
+)

@@ -24,12 +24,13 @@ from typing import ClassVar
 import torch
 
 from deep.data.minibatches import Batch
+from deep.filter.thresholds import discount_from_horizon, low_threshold
 from deep.nn.losses import advantage_policy_gradient, cross_entropy_q_loss, q_target, v_loss
 from deep.nn.networks import Critic, GaussianPolicy, StateValue, adam, copy_slowly, minimise
-from deep.pretraining.learner import Learner, Losses, Settings
+from deep.pretraining.learner import Form, Learner, Losses, Settings
 from deep.tasks.task import Sizes
 
-__all__ = ["DeaRrlAnnealed", "DeaRrlAnnealedSettings"]
+__all__ = ["FORM", "DeaRrlAnnealed", "DeaRrlAnnealedSettings"]
 
 
 @dataclass(frozen=True)
@@ -131,3 +132,17 @@ class DeaRrlAnnealed(Learner):
     def optimizers(self) -> tuple[torch.optim.Optimizer, ...]:
         """Critic, value, recovery."""
         return self._optimizers
+
+
+FORM = Form(
+    title="DEA-RRL (annealed)",
+    settings=DeaRrlAnnealedSettings,
+    learner=DeaRrlAnnealed,
+    color="#009E73",
+    discount=discount_from_horizon,
+    threshold=low_threshold,
+    threshold_rule="gamma^H/4",
+    study=("--final-expectile", "0.1"),  # one that noise allows
+    plugged=True,
+    proposed=True,
+)

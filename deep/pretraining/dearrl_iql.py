@@ -17,10 +17,10 @@ import torch
 from deep.data.minibatches import Batch
 from deep.nn.losses import advantage_weighted_regression, q_loss, q_target, v_loss
 from deep.nn.networks import Critic, GaussianPolicy, StateValue, adam, copy_slowly, minimise
-from deep.pretraining.learner import Learner, Losses, Settings
+from deep.pretraining.learner import Form, Learner, Losses, Settings
 from deep.tasks.task import Sizes
 
-__all__ = ["DearrlIql", "DearrlIqlSettings"]
+__all__ = ["FORM", "DearrlIql", "DearrlIqlSettings"]
 
 
 @dataclass(frozen=True)
@@ -86,3 +86,12 @@ class DearrlIql(Learner):
     def optimizers(self) -> tuple[torch.optim.Optimizer, ...]:
         """Critic, value, recovery."""
         return self._optimizers
+
+
+FORM = Form(
+    title="DEARRL (IQL)",
+    settings=DearrlIqlSettings,
+    learner=DearrlIql,
+    color="#56B4E9",
+    line=(0, (3, 1, 1, 1, 1, 1)),
+)

@@ -1,9 +1,9 @@
-"""What the four forms of Algorithm 1 share: their settings' common part and their nets."""
+"""What the forms of Algorithm 1 share: their settings' common part, their nets, their row."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -11,9 +11,14 @@ import torch
 from torch import Tensor, nn
 
 from deep.data.minibatches import Batch
+from deep.filter.thresholds import paper_threshold
 from deep.nn.networks import Critic, GaussianPolicy
+from deep.tasks.task import Sizes
 
-__all__ = ["Learner", "Losses", "Settings"]
+__all__ = ["Form", "Learner", "LineStyle", "Losses", "Settings"]
+
+LineStyle = str | tuple[int, tuple[float, ...]]
+"""Of a line in a figure, in matplotlib's words."""
 
 
 @dataclass(frozen=True)
@@ -93,3 +98,43 @@ class Learner(nn.Module, ABC):
     @abstractmethod
     def optimizers(self) -> tuple[torch.optim.Optimizer, ...]:
         """All optimizers, in a fixed order: their states belong to a checkpoint."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """A row of the registry: all that the rest of the project knows of one form.
+
+    Attributes:
+        title: its name in print.
+        settings: what can be chosen, with the defaults.
+        learner: settings, sizes and seeds -> the K learners; its ``name`` is the form's.
+        color, line: of its curves in the study's figures.
+        discount: H -> gamma_safe; None: the settings' own, the same for every task.
+        threshold: gamma_safe and H -> epsilon, where none is given.
+        threshold_rule: the same in a table's words.
+        study: the options of its pretraining in the study.
+        plugged: whether the study puts task policies behind it that it has never met.
+        proposed: whether it is a proposal: ablations name it after what it is compared with.
+    """
+
+    title: str
+    settings: type[Settings]
+    learner: type[Learner]
+    color: str
+    line: LineStyle = "-"
+    discount: Callable[[int], float] | None = None
+    threshold: Callable[[float, int], float] = paper_threshold
+    threshold_rule: str = "gamma^(H+1/2)"
+    study: tuple[str, ...] = ("--polyak", "0.1")
+    plugged: bool = False
+    proposed: bool = False
+
+    @property
+    def name(self) -> str:
+        """The form's name on the command line and in files."""
+        return self.learner.name
+
+    def build(self, settings: Settings, sizes: Sizes, seeds: Sequence[int]) -> Learner:
+        """K learners, freshly initialised."""
+        build: Callable[..., Learner] = self.learner
+        return build(settings, sizes, seeds)

@@ -18,10 +18,10 @@ from torch import Tensor
 from deep.data.minibatches import Batch
 from deep.nn.losses import q_target, recovery_objective, safety_critic_loss
 from deep.nn.networks import Critic, GaussianPolicy, adam, copy_slowly, minimise
-from deep.pretraining.learner import Learner, Losses, Settings
+from deep.pretraining.learner import Form, Learner, Losses, Settings
 from deep.tasks.task import Sizes
 
-__all__ = ["Rrl", "RrlSettings", "TaskPolicy", "uniform_task_policy"]
+__all__ = ["FORM", "Rrl", "RrlSettings", "TaskPolicy", "uniform_task_policy"]
 
 TaskPolicy: TypeAlias = Callable[[Tensor, Tensor], Tensor]
 """Observations (K, B, o) and unit Gaussian noise (K, B, a) -> actions (K, B, a)."""
@@ -85,3 +85,13 @@ class Rrl(Learner):
     def optimizers(self) -> tuple[torch.optim.Optimizer, ...]:
         """Critic, recovery."""
         return self._optimizers
+
+
+FORM = Form(
+    title="RRL",
+    settings=RrlSettings,
+    learner=Rrl,
+    color="#D55E00",
+    line=(0, (4, 1.5)),
+    plugged=True,
+)

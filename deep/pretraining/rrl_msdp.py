@@ -16,10 +16,10 @@ import torch
 from deep.data.minibatches import Batch
 from deep.nn.losses import q_target, recovery_objective, safety_critic_loss
 from deep.nn.networks import Critic, GaussianPolicy, adam, copy_slowly, minimise
-from deep.pretraining.learner import Learner, Losses, Settings
+from deep.pretraining.learner import Form, Learner, Losses, Settings
 from deep.tasks.task import Sizes
 
-__all__ = ["RrlMsdp", "RrlMsdpSettings"]
+__all__ = ["FORM", "RrlMsdp", "RrlMsdpSettings"]
 
 
 @dataclass(frozen=True)
@@ -68,3 +68,12 @@ class RrlMsdp(Learner):
     def optimizers(self) -> tuple[torch.optim.Optimizer, ...]:
         """Critic, recovery."""
         return self._optimizers
+
+
+FORM = Form(
+    title="RRL (MSDP)",
+    settings=RrlMsdpSettings,
+    learner=RrlMsdp,
+    color="#CC79A7",
+    line=(0, (4, 1.2, 1, 1.2)),
+)

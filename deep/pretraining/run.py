@@ -9,7 +9,6 @@ up again from its last checkpoint ends as if nothing had happened.
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -18,7 +17,6 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from dead_ends.io.atomic import atomic_path
 from deep.data.formats import read_hdf5
 from deep.data.minibatches import Batches
 from deep.data.normalisation import Normalisation, Ranges, normalisation_of, normalise, ranges_of
@@ -38,11 +36,11 @@ from deep.runs.checkpoint import load_checkpoint, save_checkpoint
 from deep.runs.folder import (
     CsvLog,
     InterruptAfterUpdate,
-    check_unused,
+    check_folder,
     fingerprint,
     only_process,
+    open_folder,
     read_object,
-    versions,
 )
 from deep.tasks import Brake, DoubleIntegrator, Task, make_task
 from deep.tasks.bounds import Bounds
@@ -65,34 +63,19 @@ def task_horizon(task: Task) -> int | None:
     return task.horizon if isinstance(task, Brake | DoubleIntegrator) else None
 
 
-def check_run(config: PretrainConfig, folder: Path) -> PretrainConfig:
-    """The run's configuration with every number filled in; nothing is written.
+def _resolved(config: PretrainConfig) -> PretrainConfig:
+    """The run's configuration with every number filled in."""
+    return resolve(config, None if config.task is None else task_horizon(make_task(config.task)))
+
+
+def open_run(config: PretrainConfig, folder: Path) -> PretrainConfig:
+    """Begin a run in a new folder, or find the same one in an old folder.
 
     Raises:
         ValueError: if the folder holds another run.
     """
-    task = None if config.task is None else make_task(config.task)
-    resolved = resolve(config, None if task is None else task_horizon(task))
-    same = config_from_json(config_to_json(resolved))
-    if not (folder / "config.json").exists():
-        check_unused(folder)
-    elif read_run(folder) != same:
-        raise ValueError(f"{folder} holds a run with another configuration")
-    return resolved
-
-
-def open_run(config: PretrainConfig, folder: Path) -> PretrainConfig:
-    """Begin a run in a new folder, or find the same one in an old folder, see
-    :func:`check_run`.
-    """
-    resolved = check_run(config, folder)
-    path = folder / "config.json"
-    if not path.exists():
-        data = fingerprint(resolved.data)
-        folder.mkdir(parents=True, exist_ok=True)
-        content = {"run": config_to_json(resolved), "made with": versions(), "data": data}
-        with atomic_path(path) as temporary:
-            temporary.write_text(json.dumps(content, indent=2) + "\n")
+    resolved = _resolved(config)
+    open_folder(folder, config_to_json(resolved), fingerprint(resolved.data))
     return resolved
 
 
@@ -189,7 +172,8 @@ def pretrain_in_folder(
 
 
 def _pretrain(config: PretrainConfig, folder: Path, quiet: bool) -> PretrainResult:
-    config = check_run(config, folder)
+    config = _resolved(config)
+    check_folder(folder, config_to_json(config), fingerprint(config.data))
     filters = _learned(config, folder, quiet)
     health = tuple(
         check_filter(safety, log, config.horizon)

@@ -31,14 +31,17 @@ if TYPE_CHECKING:
 __all__ = [
     "CsvLog",
     "InterruptAfterUpdate",
+    "check_folder",
     "check_unused",
     "fingerprint",
     "from_plain",
     "new_file",
     "only_process",
+    "open_folder",
     "read_object",
     "refuse_empty_names",
     "versions",
+    "write_json",
 ]
 
 Config = TypeVar("Config", bound="DataclassInstance")
@@ -56,6 +59,57 @@ def check_unused(folder: Path) -> None:
     for name in RUN_FILES:
         if (folder / name).exists():
             raise ValueError(f"{folder}: there is {name} of something else; begin in a new folder")
+
+
+def check_folder(
+    folder: Path,
+    plain: Mapping[str, Any],
+    data: str | None = None,
+    *,
+    file: str = "config.json",
+    what: str = "run",
+) -> None:
+    """Refuse a folder that holds another run; nothing is written.
+
+    Args:
+        folder: the run's.
+        plain: its configuration, as JSON values.
+        data: the fingerprint of the data it learns from, if they are a file.
+        file: where the configuration is kept.
+        what: it is called.
+
+    Raises:
+        ValueError: if the folder holds another run, or what no run here has written, or the
+            data have changed since.
+    """
+    path = folder / file
+    if not path.exists():
+        check_unused(folder)
+        return
+    content = read_object(path, "run")
+    if content["run"] != json.loads(json.dumps(plain)):
+        raise ValueError(f"{folder} holds a {what} with another configuration")
+    if content.get("data") != data:
+        raise ValueError(f"{plain['data']}: the data have changed since the run began")
+
+
+def open_folder(
+    folder: Path,
+    plain: Mapping[str, Any],
+    data: str | None = None,
+    *,
+    file: str = "config.json",
+    what: str = "run",
+) -> None:
+    """Begin a run in a new folder, or find the same one in an old folder, see
+    :func:`check_folder`.
+    """
+    check_folder(folder, plain, data, file=file, what=what)
+    path = folder / file
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        made = {"run": plain, "made with": versions()}
+        write_json(path, made | ({"data": data} if data else {}))
 
 
 @contextmanager
@@ -158,6 +212,12 @@ def _git(*arguments: str) -> str | None:
     except OSError:
         return None
     return run.stdout.strip() if run.returncode == 0 else None
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """A JSON object as a file, wholly or not at all."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=2) + "\n")
 
 
 def read_object(path: Path, *entries: str) -> dict[str, Any]:

@@ -9,7 +9,6 @@ labels enter nothing but the scores.
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, astuple, dataclass, fields
 from pathlib import Path
@@ -21,9 +20,11 @@ from dead_ends.io.atomic import atomic_path
 from deep.data.collect import Policy, random_policy, sb3_policy, towards_obstacle_policy
 from deep.filter.safety_filter import SafetyFilter
 from deep.filter.thresholds import paper_threshold
-from deep.pretraining import SETTINGS
+from deep.pretraining import FORMS
 from deep.pretraining.config import Mix, PretrainConfig
 from deep.pretraining.run import pretrain_in_folder
+from deep.runs.bootstrap import percentile_interval
+from deep.runs.folder import open_folder
 from deep.score.boundary import (
     BoundaryScore,
     ClosedLoop,
@@ -72,7 +73,7 @@ class CompareConfig:
 
     task: str
     out: Path
-    methods: tuple[str, ...] = tuple(SETTINGS)
+    methods: tuple[str, ...] = tuple(FORMS)
     seeds: tuple[int, ...] = tuple(range(8))
     updates: int = 4000
     transitions: int = 40_000
@@ -85,9 +86,9 @@ class CompareConfig:
     device: str = "cpu"
 
     def __post_init__(self) -> None:
-        unknown = set(self.methods) - set(SETTINGS)
+        unknown = set(self.methods) - set(FORMS)
         if unknown or not self.methods:
-            raise ValueError(f"methods must be some of {', '.join(SETTINGS)}")
+            raise ValueError(f"methods must be some of {', '.join(FORMS)}")
 
 
 @dataclass(frozen=True)
@@ -125,13 +126,14 @@ class Interval:
     high: float
 
 
-def interval(values: Sequence[float], draws: int = 2000) -> Interval:
-    """The mean, and the percentiles of the means of resampled seeds."""
+def interval(values: Sequence[float]) -> Interval:
+    """The mean, and the percentiles of the means of resampled seeds; one seed is its own."""
     array = np.asarray(values, dtype=np.float64)
-    rng = np.random.default_rng(BOOTSTRAP_STREAM)
-    means = array[rng.integers(len(array), size=(draws, len(array)))].mean(axis=1)
-    low, high = np.percentile(means, [2.5, 97.5])
-    return Interval(float(array.mean()), float(low), float(high))
+    mean = float(array.mean())
+    if len(array) < 2:
+        return Interval(mean, mean, mean)
+    low, high = percentile_interval([array], np.mean, BOOTSTRAP_STREAM)
+    return Interval(mean, float(low), float(high))
 
 
 def trained_policy(task: Task, steps: int) -> Policy:
@@ -155,7 +157,8 @@ def compare(config: CompareConfig, *, quiet: bool = False) -> tuple[SeedScore, .
     answer = exact_answer(make_task(config.task))
     rng = np.random.default_rng(POINT_STREAM)
     points = box_points(answer, config.points, config.actions, config.near, rng)
-    _keep_config(config)
+    plain = asdict(config) | {"out": None}
+    open_folder(config.out, plain, file="compare.json", what="comparison")
     filters = {name: _trained(config, name, answer.horizon, quiet) for name in config.methods}
     makers = {
         "random": random_policy(answer.task),
@@ -175,22 +178,12 @@ def compare(config: CompareConfig, *, quiet: bool = False) -> tuple[SeedScore, .
     return scores
 
 
-def _keep_config(config: CompareConfig) -> None:
-    plain = asdict(config) | {"out": None}
-    path = config.out / "compare.json"
-    if path.exists() and json.loads(path.read_text()) != json.loads(json.dumps(plain)):
-        raise ValueError(f"{config.out} holds a comparison with another configuration")
-    config.out.mkdir(parents=True, exist_ok=True)
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(plain, indent=2) + "\n")
-
-
 def _trained(
     config: CompareConfig, method: str, horizon: int, quiet: bool
 ) -> tuple[SafetyFilter, ...]:
     run = PretrainConfig(
         task=config.task,
-        method=SETTINGS[method](),
+        method=FORMS[method].settings(),
         seeds=config.seeds,
         updates=config.updates,
         horizon=horizon,
@@ -211,9 +204,10 @@ def _filter_scores(
     """The scores at the method's own threshold and at the others that are of interest."""
     table = critic_table(LearnedFilter(answer.task, safety), points)
     horizon_rule = paper_threshold(safety.gamma_safe, answer.horizon)
-    rules = {"gamma^(H+1/2)": horizon_rule, f"{CODE_THRESHOLD}": CODE_THRESHOLD}
-    if method == "dea-rrl-annealed":
-        rules = {"gamma^H/4": safety.threshold, "gamma^(H+1/2)": horizon_rule}
+    form = FORMS[method]
+    rules = {form.threshold_rule: safety.threshold, "gamma^(H+1/2)": horizon_rule}
+    if form.discount is None:
+        rules[f"{CODE_THRESHOLD}"] = CODE_THRESHOLD
     return tuple(
         _score(
             config,

@@ -11,40 +11,35 @@ import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-from deep.study.saved_runs import Run, SeedResult, Study
+from deep.pretraining import FORMS
+from deep.pretraining.learner import LineStyle
+from deep.study.saved_runs import Run, Study
 from deep.study.statistics import Floats, band, estimate
 from deep.study.tables import EPSILON_FORMS, ablation_forms, label
+from deep.train.result import SeedResult
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["COLORS", "STYLES", "Curve", "ablation_figure", "epsilon_figure", "training_figure"]
 
-LineStyle: TypeAlias = str | tuple[int, tuple[float, ...]]
-
 COLORS = {
     "sac": "#000000",
     "wcsac": "#E69F00",
-    "rrl": "#D55E00",
-    "rrl-msdp": "#CC79A7",
-    "dea-rrl": "#0072B2",
-    "dea-rrl-annealed": "#009E73",
-    "dearrl-iql": "#56B4E9",
+    **{name: form.color for name, form in FORMS.items()},
     "iql": "#F0E442",
 }
 OTHER = "#777777"
 STYLES: dict[str, LineStyle] = {
     "wcsac": (0, (1, 1)),
-    "rrl": (0, (4, 1.5)),
-    "rrl-msdp": (0, (4, 1.2, 1, 1.2)),
-    "dearrl-iql": (0, (3, 1, 1, 1, 1, 1)),
+    **{name: form.line for name, form in FORMS.items() if form.line != "-"},
 }
 """Of the methods whose line is not solid: with the colours, no two look the same in grey."""
 UNCORRECTED = ("sac", "wcsac", "iql")

@@ -25,23 +25,19 @@ from typing import Annotated
 
 import tyro
 
+from deep.pretraining import FORMS
+from deep.study.saved_runs import METHODS
 from deep.study.schedule import Job
 from deep.tasks import make_task
 from deep.tasks.gym import NO_RULES, Rules
 from deep.tasks.vectorised import GYM, REAL
 from deep.train.config import TrainConfig
 
-__all__ = ["FORMS", "METHODS", "StudyConfig", "study_jobs"]
+__all__ = ["StudyConfig", "study_jobs"]
 
-FORMS = ("dea-rrl", "rrl", "dea-rrl-annealed", "rrl-msdp", "dearrl-iql")
-METHODS = ("sac", *FORMS, "wcsac", "iql")
 FEW_UPDATES = ("--learning-rate", "1e-3", "--batch-size", "128")
 """The authors' half a million updates at 3e-4, of 256 transitions, would take days here."""
-PRETRAIN = dict.fromkeys(FORMS, (*FEW_UPDATES, "--polyak", "0.1")) | {
-    "dea-rrl-annealed": (*FEW_UPDATES, "--final-expectile", "0.1")
-}
-"""As many sweeps through time as with their polyak 0.005; an expectile that noise allows."""
-PLUGGED = ("rrl", "dea-rrl", "dea-rrl-annealed")
+PLUGGED = tuple(name for name, form in FORMS.items() if form.plugged)
 
 
 @dataclass(frozen=True)
@@ -73,7 +69,7 @@ class StudyConfig:
         horizon: H of the tasks, the most steps from a dead-end to the violation: a Point
             at top speed brakes to a stand in 18 steps.
         candidates: of epsilon, for the critics with gamma_safe 0.99.
-        annealed_candidates: of epsilon for dea-rrl-annealed, whose gamma_safe is H / (H + 1).
+        horizon_candidates: of epsilon, for the forms whose gamma_safe follows from H.
         limits: candidates of WCSAC's cost limit.
         safety_share: chosen is the largest one with at most this share of SAC's violations.
         ablation_task: where the forms are compared at one epsilon, if it is among the tasks.
@@ -87,7 +83,7 @@ class StudyConfig:
     out: Path
     tasks: tuple[str, ...] = ("point-goal1", "static-env", "dynamic-env")
     rules: Annotated[Rules, tyro.conf.arg(name="")] = NO_RULES
-    methods: tuple[str, ...] = METHODS
+    methods: tuple[str, ...] = tuple(METHODS)
     seeds: tuple[int, ...] = (0, 1, 2, 3)
     selection_seeds: tuple[int, ...] = (100, 101, 102, 103)
     steps: int = 1_000_000
@@ -100,7 +96,7 @@ class StudyConfig:
     sharpness: float = 24.0
     horizon: int = 20
     candidates: tuple[float, ...] = (0.3, 0.5, 0.7, 0.8)
-    annealed_candidates: tuple[float, ...] = (0.02, 0.05, 0.1, 0.2)
+    horizon_candidates: tuple[float, ...] = (0.02, 0.05, 0.1, 0.2)
     limits: tuple[float, ...] = (0.005, 0.01, 0.02, 0.045)
     safety_share: float = 0.05
     ablation_task: str = "point-goal1"
@@ -138,7 +134,7 @@ class StudyConfig:
                     f"{name} must be a multiple of {log_every}, where SAC's violations are "
                     f"written down, and at most steps ({self.steps}), not {steps}"
                 )
-        for name in ("candidates", "annealed_candidates", "limits"):
+        for name in ("candidates", "horizon_candidates", "limits"):
             if len(getattr(self, name)) != len(self.selection_seeds):
                 raise ValueError(
                     f"{name}: {len(getattr(self, name))} for "
@@ -174,7 +170,7 @@ def _task_jobs(config: StudyConfig, task: str) -> list[list[Job]]:
             for policy in ("sac", "iql")
             if {policy, form} <= set(config.methods)
         ],
-        [make.ablation(form) for form in forms if form != "dea-rrl-annealed"]
+        [make.ablation(form) for form in forms if FORMS[form].discount is None]
         if task == config.ablation_task
         else [],
         [make.real(method) for method in ("sac", *PLUGGED) if method in config.methods]
@@ -245,7 +241,7 @@ class _Jobs:
             str(self.folder / "data/offline.hdf5"), "--out", str(self.folder / part),
             "--seeds", *map(str, seeds), "--horizon", str(self.config.horizon),
             "--sharpness", str(self.config.sharpness),
-            "--updates", str(self.config.pretrain_updates), form, *PRETRAIN[form],
+            "--updates", str(self.config.pretrain_updates), form, *FEW_UPDATES, *FORMS[form].study,
             result=f"filters/seed{seeds[-1]}.safetensors",
         )  # fmt: skip
 
@@ -254,8 +250,8 @@ class _Jobs:
 
     def select(self, form: str) -> Job:
         config = self.config
-        annealed = form == "dea-rrl-annealed"
-        candidates = config.annealed_candidates if annealed else config.candidates
+        own = FORMS[form].discount is None
+        candidates = config.candidates if own else config.horizon_candidates
         same = [str(config.selection_seeds[0])] * len(config.selection_seeds)
         return self._train(
             f"select/{form}", (f"pretrain/{form}",), config.selection_seeds,

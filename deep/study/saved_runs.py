@@ -9,20 +9,21 @@ at one threshold) and ``select`` (short runs, one threshold a seed). A run is fi
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
+from deep.pretraining import FORMS
+from deep.runs.record import Record
 from deep.study.paper_results import paper_place
 from deep.study.statistics import Floats
+from deep.train.result import Budget, SeedResult, read_seeds
 
-__all__ = ["METHODS", "SECTIONS", "Budget", "Log", "Run", "SeedResult", "Study", "read_study"]
+__all__ = ["METHODS", "SECTIONS", "Log", "Run", "Study", "read_study"]
 
 SECTIONS = ("train", "plug", "ablation", "select")
 
@@ -30,11 +31,7 @@ METHODS: Mapping[str, str] = MappingProxyType(
     {
         "sac": "SAC",
         "wcsac": "WCSAC",
-        "rrl": "RRL",
-        "rrl-msdp": "RRL (MSDP)",
-        "dea-rrl": "DEA-RRL",
-        "dea-rrl-annealed": "DEA-RRL (annealed)",
-        "dearrl-iql": "DEARRL (IQL)",
+        **{name: form.title for name, form in FORMS.items()},
         "iql": "IQL",
     }
 )
@@ -42,43 +39,6 @@ METHODS: Mapping[str, str] = MappingProxyType(
 
 PROGRESS = ("episodes", "violations", "interventions")
 EVALUATIONS = ("acr", "avr", "arr")
-
-
-@dataclass(frozen=True)
-class SeedResult:
-    """What one seed ended with.
-
-    Attributes:
-        seed: the seed.
-        acr: average cumulative reward over the evaluation's whole episodes.
-        avr: share of them that end in a violation.
-        arr: share of their steps that were corrected.
-        length: their mean number of steps.
-        tv: violations during training; None where nothing was trained.
-        episodes: of the training; None where nothing was trained.
-        training_arr: share of the training's steps that were corrected, or None.
-        threshold: epsilon, or WCSAC's cost limit; None without either.
-    """
-
-    seed: int
-    acr: float
-    avr: float
-    arr: float
-    length: float
-    tv: int | None
-    episodes: int | None
-    training_arr: float | None
-    threshold: float | None
-
-
-@dataclass(frozen=True)
-class Budget:
-    """What a run cost: steps, updates and episodes of each seed, seconds of all together."""
-
-    env_steps: int | None
-    updates: int | None
-    wall_seconds: float
-    evaluation_episodes: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,17 +157,9 @@ def _run_folders(study: Path) -> list[Path]:
 
 
 def _read_run(folder: Path, name: str) -> Run:
-    path = folder / "result.json"
-    try:
-        content = json.loads(path.read_text())
-    except (ValueError, OSError) as error:
-        raise ValueError(f"{path}: not a readable JSON file ({error})") from error
-    record = _Record(content, str(path))
-    seeds = tuple(_seed_result(seed) for seed in record.records("seeds"))
+    record = Record.read(folder / "result.json")
+    seeds, budget = read_seeds(record), Budget.from_record(record.record("budget"))
     numbers = tuple(seed.seed for seed in seeds)
-    if not seeds or len(set(numbers)) < len(numbers):
-        raise ValueError(f"{path}: seeds must be there, and none twice")
-    budget = _budget(record.record("budget"))
     # What takes no environment steps has no curve over them, whatever it logs.
     online = bool(budget.env_steps)
     return Run(
@@ -221,98 +173,6 @@ def _read_run(folder: Path, name: str) -> Run:
         progress=_read_log(folder / "progress.csv", numbers, PROGRESS) if online else None,
         evaluations=_read_log(folder / "evaluations.csv", numbers, EVALUATIONS) if online else None,
     )
-
-
-def _seed_result(record: _Record) -> SeedResult:
-    return SeedResult(
-        seed=record.count("seed"),
-        acr=record.number("acr"),
-        avr=record.share("avr"),
-        arr=record.share("arr"),
-        length=record.number("length"),
-        tv=record.count("tv") if record.has("tv") else None,
-        episodes=record.count("episodes") if record.has("episodes") else None,
-        training_arr=record.share("training_arr") if record.has("training_arr") else None,
-        threshold=record.share("threshold") if record.has("threshold") else None,
-    )
-
-
-def _budget(record: _Record) -> Budget:
-    return Budget(
-        env_steps=record.count("env_steps") if record.has("env_steps") else None,
-        updates=record.count("updates") if record.has("updates") else None,
-        wall_seconds=record.number("wall_seconds"),
-        evaluation_episodes=record.count("evaluation_episodes"),
-    )
-
-
-@dataclass(frozen=True)
-class _Record:
-    """A JSON object that is asked for values of a type, and names the file if it has none."""
-
-    content: Any
-    place: str
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.content, dict):
-            raise ValueError(f"{self.place}: expected an object, not {self.content!r}")
-
-    def has(self, key: str) -> bool:
-        """Whether there is a value, and not null."""
-        return self.content.get(key) is not None
-
-    def _get(self, key: str) -> Any:
-        if key not in self.content:
-            raise ValueError(f"{self.place}: {key!r} is missing")
-        return self.content[key]
-
-    def _wrong(self, key: str, expected: str) -> ValueError:
-        return ValueError(f"{self.place}: {key!r} must be {expected}, not {self.content[key]!r}")
-
-    def text(self, key: str) -> str:
-        """A string."""
-        value = self._get(key)
-        if not isinstance(value, str):
-            raise self._wrong(key, "a string")
-        return value
-
-    def number(self, key: str) -> float:
-        """A finite number."""
-        value = self._get(key)
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self._wrong(key, "a number")
-        if not math.isfinite(value):
-            raise self._wrong(key, "finite")
-        return float(value)
-
-    def share(self, key: str) -> float:
-        """A number in [0, 1]."""
-        value = self.number(key)
-        if not 0 <= value <= 1:
-            raise self._wrong(key, "in [0, 1]")
-        return value
-
-    def count(self, key: str) -> int:
-        """A whole number, not negative."""
-        value = self.number(key)
-        if value < 0 or value != int(value):
-            raise self._wrong(key, "a count")
-        return int(value)
-
-    def record(self, key: str) -> _Record:
-        """An object."""
-        return _Record(self._get(key), f"{self.place}, {key!r}")
-
-    def records(self, key: str) -> tuple[_Record, ...]:
-        """A list of objects."""
-        value = self._get(key)
-        if not isinstance(value, list):
-            raise self._wrong(key, "a list")
-        return tuple(_Record(item, f"{self.place}, {key!r}") for item in value)
-
-    def texts(self, key: str) -> Mapping[str, str]:
-        """An object whose values are written out as strings."""
-        return {name: str(value) for name, value in self.record(key).content.items()}
 
 
 def _read_log(path: Path, seeds: tuple[int, ...], columns: tuple[str, ...]) -> Log | None:

@@ -17,14 +17,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.stats import bootstrap, trim_mean
+from scipy.stats import trim_mean
+
+from deep.runs.bootstrap import Floats, percentile_interval
 
 __all__ = ["Band", "Estimate", "Floats", "band", "estimate"]
 
-Floats = NDArray[np.float64]
-
-RESAMPLES = 2000
 BOOTSTRAP_STREAM = 104
 
 
@@ -50,27 +48,13 @@ def _iqm(*strata: Floats, axis: int = 0) -> Floats:
     return np.asarray(trim_mean(np.concatenate(strata, axis=axis), 0.25, axis=axis))
 
 
-def _interval(strata: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """Both ends; each stratum has its seeds along axis 0, at least two of them."""
-    result = bootstrap(
-        tuple(strata),
-        _iqm,
-        n_resamples=RESAMPLES,
-        vectorized=True,
-        axis=0,
-        method="percentile",
-        rng=np.random.default_rng(BOOTSTRAP_STREAM),
-    )
-    return np.asarray(result.confidence_interval.low), np.asarray(result.confidence_interval.high)
-
-
 def estimate(*strata: Sequence[float]) -> Estimate:
     """The IQM of the seeds' numbers, one sequence a task, with its interval."""
     arrays = [np.asarray(stratum, dtype=np.float64) for stratum in strata]
     value = float(_iqm(*arrays))
     if min(len(array) for array in arrays) < 2:
         return Estimate(value, None, None)
-    low, high = _interval(arrays)
+    low, high = percentile_interval(arrays, _iqm, BOOTSTRAP_STREAM)
     return Estimate(value, float(low), float(high))
 
 
@@ -84,5 +68,7 @@ def band(values: Floats) -> Band:
     if whole.any():
         value[whole] = _iqm(values[:, whole])
         if len(values) > 1:
-            low[whole], high[whole] = _interval([values[:, whole]])
+            low[whole], high[whole] = percentile_interval(
+                [values[:, whole]], _iqm, BOOTSTRAP_STREAM
+            )
     return Band(value, low, high)

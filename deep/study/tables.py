@@ -10,9 +10,11 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from deep.pretraining import FORMS
 from deep.study.paper_results import PaperScore, paper_score
-from deep.study.saved_runs import METHODS, Run, SeedResult, Study
+from deep.study.saved_runs import METHODS, Run, Study
 from deep.study.statistics import Estimate, estimate
+from deep.train.result import SeedResult
 
 __all__ = [
     "EPSILON_FORMS",
@@ -28,11 +30,11 @@ __all__ = [
 MISSING = "missing"
 NONE = "–"
 PLUG_POLICIES = ("sac", "iql")
-PLUG_FILTERS = ("rrl", "dea-rrl", "dea-rrl-annealed")
-ABLATION_FORMS = ("rrl", "rrl-msdp", "dearrl-iql", "dea-rrl")
-"""The forms with one gamma_safe, to which one epsilon means the same."""
-EPSILON_FORMS = (*ABLATION_FORMS, "dea-rrl-annealed")
+PLUG_FILTERS = tuple(name for name, form in FORMS.items() if form.plugged)
+EPSILON_FORMS = tuple(sorted(FORMS, key=lambda name: FORMS[name].proposed))
 """WCSAC's limit is no epsilon: it has rows in the table, and no place on the axis."""
+ABLATION_FORMS = tuple(name for name in EPSILON_FORMS if FORMS[name].discount is None)
+"""The forms with one gamma_safe, to which one epsilon means the same."""
 
 DIGITS = {"acr": 2, "avr": 3, "tv": 0, "arr": 3, "training_arr": 3, "length": 0}
 """The fields of a seed's result that tables show, with their decimals."""

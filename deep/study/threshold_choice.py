@@ -17,7 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dead_ends.io.atomic import atomic_path
-from deep.runs.folder import read_object
+from deep.runs.record import Record
+from deep.train.result import Budget, read_seeds
 
 __all__ = ["Choice", "choose_threshold", "pick", "read_threshold", "write_choice"]
 
@@ -56,14 +57,15 @@ def choose_threshold(run: Path, baseline: Path, share: float) -> Choice:
     result = run / "result.json"
     if not result.is_file():
         raise ValueError(f"{run}: not a finished run (no result.json)")
-    content = read_object(result, "seeds", "budget")
-    tried = [(entry["threshold"], entry["tv"]) for entry in content["seeds"]]
-    if any(threshold is None for threshold, _ in tried):
+    record = Record.read(result)
+    seeds, budget = read_seeds(record), Budget.from_record(record.record("budget"))
+    tried = [(s.threshold, s.tv) for s in seeds if s.threshold is not None and s.tv is not None]
+    if any(seed.threshold is None for seed in seeds):
         raise ValueError(f"{run}: without correction or cost limit there is nothing to choose")
-    if any(violations is None for _, violations in tried):
+    if any(seed.tv is None for seed in seeds):
         raise ValueError(f"{run}: nothing was trained there, so no violations were counted")
-    allowed = share * _violations(baseline, content["budget"]["env_steps"])
-    return pick(tuple((float(t), int(v)) for t, v in tried), allowed)
+    allowed = share * _violations(baseline, budget.env_steps)
+    return pick(tuple(tried), allowed)
 
 
 def pick(candidates: tuple[tuple[float, int], ...], allowed: float) -> Choice:
@@ -76,7 +78,7 @@ def pick(candidates: tuple[tuple[float, int], ...], allowed: float) -> Choice:
     return Choice(safest, allowed, candidates, met=False)
 
 
-def _violations(baseline: Path, step: int) -> float:
+def _violations(baseline: Path, step: int | None) -> float:
     """Violations of a run up to a logged step, averaged over its seeds."""
     path = baseline / "progress.csv"
     if not path.is_file():

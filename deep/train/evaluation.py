@@ -7,17 +7,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from deep.filter.safety_filter import SafetyFilter
 from deep.filter.task_policy import TrainedPolicy, check_units
-from deep.runs.folder import check_unused, read_object
+from deep.runs.folder import check_unused
+from deep.runs.record import Record
 from deep.tasks.gym import NO_RULES, Rules
 from deep.tasks.task import Sizes
 from deep.tasks.vectorised import check_fit, task_spaces
 from deep.train.pretrained import load_filters
-from deep.train.result import evaluate, run_rules, seed_entry, write_result
+from deep.train.result import (
+    Budget,
+    SeedResult,
+    evaluate,
+    read_seeds,
+    run_rules,
+    write_result,
+)
 
 __all__ = ["evaluate_policies"]
 
@@ -31,7 +39,7 @@ def evaluate_policies(
     episodes: int = 500,
     task: str | None = None,
     rules: Rules | None = None,
-) -> tuple[dict[str, Any], ...]:
+) -> tuple[SeedResult, ...]:
     """Whole episodes of every seed of a training run, behind a filter if there is one.
 
     Args:
@@ -58,12 +66,14 @@ def evaluate_policies(
     if (out / "config.json").exists():
         raise ValueError(f"{out} holds a run, whose result an evaluation would replace")
     check_unused(out)
-    run = read_object(path, "task", "method", "seeds", "budget")
-    where = task or run["task"]
+    run = Record.read(path)
+    method, home = run.text("method"), run.text("task")
+    spent = Budget.from_record(run.record("budget"))
+    numbers = [seed.seed for seed in read_seeds(run)]
+    where = task or home
     if rules is None:
-        rules = run_rules(policies) if where == run["task"] else NO_RULES
+        rules = run_rules(policies) if where == home else NO_RULES
     begin = time.perf_counter()
-    numbers = [int(entry["seed"]) for entry in run["seeds"]]
     trained = [
         TrainedPolicy.load(policies / "policies" / f"seed{seed}.safetensors") for seed in numbers
     ]
@@ -79,7 +89,7 @@ def evaluate_policies(
     filters = [safety.for_actions(bounds, where) for safety in filters]
     thresholds: list[float | None] = [safety.threshold for safety in filters]
     seeds = [
-        seed_entry(seed, found, tv=None, episodes=None, training_arr=None, threshold=epsilon)
+        SeedResult.of(seed, found, threshold=epsilon)
         for seed, found, epsilon in zip(
             numbers,
             evaluate(where, trained, filters, episodes, rules=rules),
@@ -87,21 +97,17 @@ def evaluate_policies(
             strict=True,
         )
     ]
-    content = {
-        "task": where,
-        "method": "+".join([run["method"], *sorted({safety.method for safety in filters})]),
-        "budget": {
-            "env_steps": run["budget"]["env_steps"],
-            "updates": run["budget"]["updates"],
-            "wall_seconds": round(time.perf_counter() - begin, 1),
-            "evaluation_episodes": episodes,
-        },
-        "policies": str(policies),
-        "safety": None if safety is None else str(safety),
-        "seeds": seeds,
-    }
+    seconds = round(time.perf_counter() - begin, 1)
     out.mkdir(parents=True, exist_ok=True)
-    write_result(out, content)
+    write_result(
+        out,
+        where,
+        "+".join([method, *sorted({safety.method for safety in filters})]),
+        replace(spent, wall_seconds=seconds, evaluation_episodes=episodes),
+        seeds,
+        policies=str(policies),
+        safety=None if safety is None else str(safety),
+    )
     return tuple(seeds)
 
 

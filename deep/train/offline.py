@@ -29,7 +29,14 @@ from deep.data.normalisation import (
 )
 from deep.data.transitions import Transitions
 from deep.runs.checkpoint import load_checkpoint, save_checkpoint
-from deep.runs.folder import CsvLog, InterruptAfterUpdate, fingerprint, only_process
+from deep.runs.folder import (
+    CsvLog,
+    InterruptAfterUpdate,
+    check_folder,
+    fingerprint,
+    only_process,
+    open_folder,
+)
 from deep.tasks.bounds import Bounds
 from deep.tasks.gym import NO_RULES, Rules
 from deep.tasks.task import Sizes
@@ -40,15 +47,14 @@ from deep.train.learner import TaskBatch, TaskLosses
 from deep.train.result import (
     EPISODES_KEPT_APART,
     EVALUATIONS,
+    Budget,
+    SeedResult,
     TrainResult,
-    check_folder,
     checked_losses,
     evaluate,
     evaluation_rows,
-    open_folder,
     read_result,
     save_all,
-    seed_entry,
     task_policies,
     write_result,
 )
@@ -252,20 +258,12 @@ class _Run:
         rules = config.environment_rules
         found = evaluate(config.task, policies, (), config.episodes, rules=rules)
         save_all(self.folder / "policies", config.seeds, policies)
-        budget = {
-            "env_steps": 0,
-            "updates": self.updates,
-            "wall_seconds": round(self.seconds, 1),
-            "evaluation_episodes": config.episodes,
-        }
+        budget = Budget(0, self.updates, round(self.seconds, 1), config.episodes)
         seeds = [
-            seed_entry(seed, e, tv=0, episodes=0, training_arr=0.0, threshold=None)
+            SeedResult.of(seed, e, tv=0, episodes=0, training_arr=0.0)
             for seed, e in zip(config.seeds, found, strict=True)
         ]
-        write_result(
-            self.folder,
-            {"task": config.task, "method": Iql.name, "budget": budget, "seeds": seeds},
-        )
+        write_result(self.folder, config.task, Iql.name, budget, seeds)
 
 
 def _check_fit(config: OfflineConfig, data: Transitions, sizes: Sizes, bounds: Bounds) -> None:

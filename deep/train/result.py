@@ -5,18 +5,17 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from dead_ends.io.atomic import atomic_path
 from deep.data.normalisation import Normalisation
 from deep.filter.safety_filter import SafetyFilter
 from deep.filter.task_policy import TrainedPolicy
-from deep.runs.folder import check_unused, read_object, versions
+from deep.runs.folder import read_object, versions, write_json
+from deep.runs.record import Record
 from deep.tasks.gym import NO_RULES, Rules, rules_from_json
 from deep.tasks.vectorised import GYM, evaluation_copies
 from deep.train.episodes import Episodes, run_episodes
@@ -25,16 +24,16 @@ from deep.train.learner import TaskLearner, TaskLosses
 __all__ = [
     "EPISODES_KEPT_APART",
     "EVALUATIONS",
+    "Budget",
+    "SeedResult",
     "TrainResult",
-    "check_folder",
     "checked_losses",
     "evaluate",
     "evaluation_rows",
-    "open_folder",
     "read_result",
+    "read_seeds",
     "run_rules",
     "save_all",
-    "seed_entry",
     "task_policies",
     "write_result",
 ]
@@ -45,53 +44,95 @@ EPISODES_KEPT_APART = 1000
 
 
 @dataclass(frozen=True)
+class SeedResult:
+    """What one seed ended with.
+
+    Attributes:
+        seed: the seed.
+        tv: violations during training; None where nothing was trained.
+        episodes: of the training; None where nothing was trained.
+        acr: average cumulative reward over the evaluation's whole episodes.
+        avr: share of them that end in a violation.
+        arr: share of their steps that were corrected.
+        length: their mean number of steps.
+        training_arr: share of the training's steps that were corrected, or None.
+        threshold: epsilon, or WCSAC's cost limit; None without either.
+    """
+
+    seed: int
+    tv: int | None
+    episodes: int | None
+    acr: float
+    avr: float
+    arr: float
+    length: float
+    training_arr: float | None
+    threshold: float | None
+
+    @classmethod
+    def of(
+        cls,
+        seed: int,
+        evaluated: Episodes,
+        *,
+        tv: int | None = None,
+        episodes: int | None = None,
+        training_arr: float | None = None,
+        threshold: float | None = None,
+    ) -> SeedResult:
+        """What training counted, and the evaluation's metrics."""
+        e = evaluated
+        return cls(seed, tv, episodes, e.acr, e.avr, e.arr, e.length, training_arr, threshold)
+
+    @classmethod
+    def from_record(cls, record: Record) -> SeedResult:
+        """An entry of ``seeds`` in ``result.json``, which has the fields' names."""
+        return cls(
+            seed=record.count("seed"),
+            tv=record.maybe("tv", record.count),
+            episodes=record.maybe("episodes", record.count),
+            acr=record.number("acr"),
+            avr=record.share("avr"),
+            arr=record.share("arr"),
+            length=record.number("length"),
+            training_arr=record.maybe("training_arr", record.share),
+            threshold=record.maybe("threshold", record.amount),
+        )
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What a run cost: steps, updates and episodes of each seed, seconds of all together."""
+
+    env_steps: int | None
+    updates: int | None
+    wall_seconds: float
+    evaluation_episodes: int
+
+    @classmethod
+    def from_record(cls, record: Record) -> Budget:
+        """``budget`` in ``result.json``, which has the fields' names."""
+        return cls(
+            env_steps=record.maybe("env_steps", record.count),
+            updates=record.maybe("updates", record.count),
+            wall_seconds=record.number("wall_seconds"),
+            evaluation_episodes=record.count("evaluation_episodes"),
+        )
+
+
+@dataclass(frozen=True)
 class TrainResult:
     """What a finished run says.
 
     Attributes:
         folder: where it is.
         method: as in the tables: sac, wcsac, iql, or the form of the correction.
-        seeds: one entry a seed, as in ``result.json``.
+        seeds: one a seed.
     """
 
     folder: Path
     method: str
-    seeds: tuple[dict[str, Any], ...]
-
-
-def check_folder(folder: Path, plain: dict[str, Any], data: str | None = None) -> None:
-    """Refuse a folder that holds another run; nothing is written.
-
-    Args:
-        folder: the run's.
-        plain: its configuration, as JSON values.
-        data: the fingerprint of the data it learns from, if they are a file.
-
-    Raises:
-        ValueError: if the folder holds another run, or what no run here has written, or the
-            data have changed since.
-    """
-    path = folder / "config.json"
-    if not path.exists():
-        check_unused(folder)
-        return
-    content = read_object(path, "run")
-    if content["run"] != json.loads(json.dumps(plain)):
-        raise ValueError(f"{folder} holds a run with another configuration")
-    if content.get("data") != data:
-        raise ValueError(f"{plain['data']}: the data have changed since the run began")
-
-
-def open_folder(folder: Path, plain: dict[str, Any], data: str | None = None) -> None:
-    """Begin a run in a new folder, or find the same one in an old folder, see
-    :func:`check_folder`.
-    """
-    check_folder(folder, plain, data)
-    path = folder / "config.json"
-    if not path.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        made = {"run": plain, "made with": versions()}
-        _write_json(path, made | ({"data": data} if data else {}))
+    seeds: tuple[SeedResult, ...]
 
 
 def run_rules(folder: Path) -> Rules:
@@ -172,32 +213,6 @@ def evaluation_rows(
         yield done, seed, len(e.returns), *(f"{x:.6g}" for x in numbers)
 
 
-def seed_entry(
-    seed: int,
-    evaluated: Episodes,
-    *,
-    tv: int | None,
-    episodes: int | None,
-    training_arr: float | None,
-    threshold: float | None,
-) -> dict[str, Any]:
-    """A seed's part of ``result.json``: what training counted, and the evaluation's metrics.
-
-    ``threshold`` is epsilon behind a correction, and WCSAC's cost limit.
-    """
-    return {
-        "seed": seed,
-        "tv": tv,
-        "episodes": episodes,
-        "acr": evaluated.acr,
-        "avr": evaluated.avr,
-        "arr": evaluated.arr,
-        "length": evaluated.length,
-        "training_arr": training_arr,
-        "threshold": threshold,
-    }
-
-
 def save_all(
     folder: Path, seeds: Sequence[int], made: Sequence[TrainedPolicy | SafetyFilter]
 ) -> None:
@@ -209,17 +224,37 @@ def save_all(
         one.save(folder / f"seed{seed}.safetensors")
 
 
-def write_result(folder: Path, content: dict[str, Any]) -> None:
+def write_result(
+    folder: Path,
+    task: str,
+    method: str,
+    budget: Budget,
+    seeds: Sequence[SeedResult],
+    **origin: str | None,
+) -> None:
     """``result.json``: task, method, budget and seeds, and with what they were made."""
-    _write_json(folder / "result.json", content | {"made with": versions()})
+    content: dict[str, Any] = {"task": task, "method": method, "budget": asdict(budget), **origin}
+    content |= {"seeds": [asdict(seed) for seed in seeds], "made with": versions()}
+    write_json(folder / "result.json", content)
 
 
 def read_result(folder: Path) -> TrainResult:
-    """What a finished run says."""
-    content = read_object(folder / "result.json", "method", "seeds")
-    return TrainResult(folder, content["method"], tuple(content["seeds"]))
+    """What a finished run says.
+
+    Raises:
+        ValueError: naming what is missing or wrong.
+    """
+    record = Record.read(folder / "result.json")
+    return TrainResult(folder, record.text("method"), read_seeds(record))
 
 
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=2) + "\n")
+def read_seeds(result: Record) -> tuple[SeedResult, ...]:
+    """The seeds of a ``result.json``.
+
+    Raises:
+        ValueError: if there are none, or one is there twice, or what it says is wrong.
+    """
+    seeds = tuple(SeedResult.from_record(seed) for seed in result.records("seeds"))
+    if not seeds or len({seed.seed for seed in seeds}) < len(seeds):
+        raise ValueError(f"{result.place}: seeds must be there, and none twice")
+    return seeds

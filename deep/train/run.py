@@ -28,10 +28,10 @@ from tqdm import tqdm
 
 from deep.data.normalisation import Normalisation, TensorNormalisation, with_action_bounds
 from deep.filter.task_policy import TrainedPolicy
-from deep.pretraining import Learner, method_name
+from deep.pretraining import Learner, form_of
 from deep.pretraining.run import read_run
 from deep.runs.checkpoint import load_checkpoint, save_checkpoint
-from deep.runs.folder import CsvLog, InterruptAfterUpdate, only_process
+from deep.runs.folder import CsvLog, InterruptAfterUpdate, check_folder, only_process, open_folder
 from deep.tasks.task import Sizes
 from deep.tasks.vectorised import Fleet
 from deep.train.config import (
@@ -49,15 +49,14 @@ from deep.train.replay import Arrival, Replay
 from deep.train.result import (
     EPISODES_KEPT_APART,
     EVALUATIONS,
+    Budget,
+    SeedResult,
     TrainResult,
-    check_folder,
     checked_losses,
     evaluate,
     evaluation_rows,
-    open_folder,
     read_result,
     save_all,
-    seed_entry,
     task_policies,
     write_result,
 )
@@ -96,7 +95,7 @@ def method_of(config: TrainConfig) -> str:
     """The run's name in the tables: the correction's form, or the task learner's."""
     if config.safety is None:
         return task_method_name(config.method)
-    return method_name(read_run(config.safety).method)
+    return form_of(read_run(config.safety).method).name
 
 
 class _State(nn.Module):
@@ -278,7 +277,7 @@ class _Run:
         save_all(self.folder / "filters", config.seeds, filters)
         thresholds = [f.threshold for f in filters] or self.learner.limits
         seeds = [
-            seed_entry(
+            SeedResult.of(
                 seed,
                 evaluated,
                 tv=int(counts.violations[k]),
@@ -288,16 +287,8 @@ class _Run:
             )
             for k, (seed, evaluated) in enumerate(zip(config.seeds, found, strict=True))
         ]
-        budget = {
-            "env_steps": config.steps,
-            "updates": self.updates,
-            "wall_seconds": round(counts.seconds, 1),
-            "evaluation_episodes": config.episodes,
-        }
-        write_result(
-            self.folder,
-            {"task": config.task, "method": self.method, "budget": budget, "seeds": seeds},
-        )
+        budget = Budget(config.steps, self.updates, round(counts.seconds, 1), config.episodes)
+        write_result(self.folder, config.task, self.method, budget, seeds)
         if not config.keep_replay:
             self.replay.path.unlink()
 

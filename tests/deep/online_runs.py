@@ -11,7 +11,7 @@ import numpy as np
 
 from deep.data.transitions import Transitions
 from deep.filter.safety_filter import SafetyFilter
-from deep.pretraining import AnySettings
+from deep.pretraining import Settings
 from deep.pretraining.config import Mix, PretrainConfig
 from deep.pretraining.run import open_run, pretrain_in_folder
 from deep.train.config import TrainConfig
@@ -58,7 +58,7 @@ def hand_made(folder: Path, filters: Mapping[int, SafetyFilter]) -> Path:
     return folder
 
 
-def pretrained(folder: Path, method: AnySettings) -> Path:
+def pretrained(folder: Path, method: Settings) -> Path:
     """The folder of a short pretraining run on brake."""
     config = PretrainConfig(
         task="brake", method=method, seeds=SEEDS, updates=20, mix=Mix(transitions=300)

@@ -11,19 +11,19 @@ import torch
 from deep.data.collect import collect, random_policy
 from deep.data.minibatches import BLOCK, Batches
 from deep.nn.networks import Critic, GaussianPolicy, StateValue, copy_slowly
-from deep.pretraining import SETTINGS, AnySettings, Sizes, build_learner
+from deep.pretraining import FORMS, Sizes, build_learner
 from deep.tasks import Brake
 
 CPU = torch.device("cpu")
 
 
-@pytest.mark.parametrize("method", SETTINGS)
+@pytest.mark.parametrize("method", FORMS)
 def test_a_seed_in_a_batch_learns_what_it_learns_alone(method: str) -> None:
     data = [
         collect(Brake(), random_policy(Brake()), np.random.default_rng(seed), 2000)
         for seed in (3, 5, 8)
     ]
-    settings: AnySettings = SETTINGS[method](hidden=(16, 16), batch_size=32)
+    settings = FORMS[method].settings(hidden=(16, 16), batch_size=32)
     together = build_learner(settings, Sizes(2, 1), (3, 5, 8))
     alone = build_learner(settings, Sizes(2, 1), (5,))
     many = Batches(data, (3, 5, 8), 32, settings.violation_share, CPU)

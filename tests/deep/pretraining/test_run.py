@@ -17,7 +17,9 @@ import numpy as np
 import pytest
 import torch
 
-from deep.__main__ import main
+import deep
+from deep.__main__ import main, parse
+from deep.cli.pretrain import Pretrain
 from deep.data.formats import read_hdf5, write_hdf5
 from deep.data.minibatches import Batches
 from deep.data.normalisation import Normalisation, normalisation_of, normalise
@@ -25,12 +27,14 @@ from deep.data.transitions import Transitions
 from deep.filter.safety_filter import SafetyFilter
 from deep.filter.thresholds import discount_from_horizon, low_threshold, paper_threshold
 from deep.pretraining import (
-    SETTINGS,
+    FORMS,
     DeaRrlAnnealedSettings,
     DeaRrlSettings,
+    Form,
     RrlMsdpSettings,
     Sizes,
     build_learner,
+    form_of,
 )
 from deep.pretraining.config import Mix, PretrainConfig, config_from_json, config_to_json, resolve
 from deep.pretraining.health import Fault, check_losses, read_health
@@ -99,9 +103,9 @@ def test_another_run_in_the_same_folder_is_refused(tmp_path: Path) -> None:
         read_run(tmp_path)
 
 
-@pytest.mark.parametrize("method", SETTINGS)
+@pytest.mark.parametrize("method", FORMS)
 def test_checkpoints_hold_the_whole_state(method: str, tmp_path: Path) -> None:
-    config = replace(TINY, method=SETTINGS[method](**SMALL))
+    config = replace(TINY, method=FORMS[method].settings(**SMALL))
     pretrain_in_folder(config, tmp_path / "whole", quiet=True)
     # The same run, stopped after 15 updates: its checkpoint, and a half-written log.
     learner = build_learner(resolve(config, 3).method, Sizes(2, 1), config.seeds)
@@ -211,8 +215,23 @@ def test_a_loss_that_is_no_number_names_its_seed() -> None:
         check_losses(learner, losses, 7)
 
 
+@pytest.mark.parametrize("form", FORMS.values(), ids=list(FORMS))
+def test_a_form_is_a_file_and_a_row(form: Form) -> None:
+    """The command line takes its name, a run keeps it, and no other module need know it."""
+    home = Path(deep.__file__).parent
+    naming = {path for path in home.rglob("*.py") if f'"{form.name}"' in path.read_text()}
+    the_papers = home / "study" / "paper_results.py"
+    assert naming - {the_papers} == {Path(str(sys.modules[form.learner.__module__].__file__))}
+    assert form_of(form.settings()) is form
+    assert form.build(form.settings(), Sizes(2, 1), (0,)).name == form.name
+    command = parse(["pretrain", "--task", "brake", "--out", "x", form.name])
+    assert isinstance(command, Pretrain)
+    assert type(command.run_config.method) is form.settings
+    assert config_to_json(command.run_config)["method"]["name"] == form.name
+
+
 def test_configurations_survive_json_and_resolve_by_the_horizon() -> None:
-    for kind in SETTINGS.values():
+    for kind in (form.settings for form in FORMS.values()):
         config = replace(TINY, method=kind(**SMALL))
         filed = replace(config, task=None, data=Path("x"), cut=True, violation="cost > 2")
         for one in (config, filed):

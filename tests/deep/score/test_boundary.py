@@ -12,6 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from deep.data.collect import random_policy, towards_obstacle_policy
+from deep.pretraining import DeaRrlAnnealedSettings
 from deep.score.boundary import (
     LearnedFilter,
     OracleFilter,
@@ -22,7 +23,7 @@ from deep.score.boundary import (
     safe_starts,
     score_boundary,
 )
-from deep.score.compare import CompareConfig, compare, interval, summary_table
+from deep.score.compare import CompareConfig, Interval, compare, interval, summary_table
 from deep.score.demo import DemoConfig, demo
 from deep.score.exact_answers import (
     ExactAnswer,
@@ -287,6 +288,12 @@ def test_intervals_hold_the_mean_and_shrink_to_it() -> None:
     assert spread.low < spread.mean == 0.5 < spread.high
     same = interval([0.25] * 5)
     assert same.low == same.mean == same.high == 0.25
+    assert interval([0.4]) == Interval(0.4, 0.4, 0.4)
+    # The middle 95% of 2000 means of seeds that are drawn again.
+    values = np.array([0.3, 0.9, 0.7, 0.2, 0.1])
+    means = values[np.random.default_rng(103).integers(5, size=(2000, 5))].mean(axis=1)
+    found = interval(list(values))
+    assert [found.low, found.high] == pytest.approx(np.percentile(means, [2.5, 97.5]))
 
 
 def test_compare_trains_scores_and_draws_every_method(tmp_path: Path) -> None:
@@ -314,7 +321,7 @@ def test_compare_trains_scores_and_draws_every_method(tmp_path: Path) -> None:
     table = (tmp_path / "run" / "summary.md").read_text()
     assert table == summary_table(scores)
     assert "| oracle | exact labels = 1.000 | 0.00 [0.00, 0.00] |" in table
-    with pytest.raises(ValueError, match="methods must be some of dea-rrl-annealed, dea-rrl, "):
+    with pytest.raises(ValueError, match="methods must be some of rrl, rrl-msdp, "):
         replace(config, methods=("sac",))
     with pytest.raises(ValueError, match="holds a comparison with another configuration"):
         compare(replace(config, points=301), quiet=True)
@@ -335,7 +342,8 @@ def test_a_sweep_varies_one_thing_at_a_time() -> None:
     assert len(recipe) == 1
     for name, value, run in runs:
         if name == "last expectile":
-            assert run.method.final_expectile == value  # type: ignore[union-attr]  # annealed
+            assert isinstance(run.method, DeaRrlAnnealedSettings)
+            assert run.method.final_expectile == value
         if name == "share of corner actions":
             assert (run.mix.corners, run.mix.random) == (value, 1 - value)
     figure = sweep_figure("brake", [SweepScore("gamma_safe", 0.5, 0, 0.0, 0.1)])

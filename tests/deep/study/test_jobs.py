@@ -15,6 +15,7 @@ from deep.cli.pretrain import Pretrain
 from deep.cli.train import Train
 from deep.cli.train_offline import TrainOffline
 from deep.pretraining import (
+    FORMS,
     DeaRrlAnnealedSettings,
     DearrlIqlSettings,
     DeaRrlSettings,
@@ -22,7 +23,8 @@ from deep.pretraining import (
     RrlSettings,
 )
 from deep.pretraining.config import MethodChoice, PretrainConfig
-from deep.study.jobs import FORMS, METHODS, StudyConfig, study_jobs
+from deep.study.jobs import StudyConfig, study_jobs
+from deep.study.saved_runs import METHODS
 from deep.study.schedule import Job
 from deep.tasks.gym import NO_RULES, Rules
 from deep.train.config import TrainConfig
@@ -120,7 +122,7 @@ OTHER = StudyConfig(
     sharpness=3.0,
     horizon=15,
     candidates=(0.1, 0.2),
-    annealed_candidates=(0.3, 0.4),
+    horizon_candidates=(0.3, 0.4),
     limits=(0.6, 0.7),
     safety_share=0.8,
     ablation_task="brake",
@@ -302,7 +304,7 @@ def test_rules_reach_what_steps_an_environment_of_gymnasium() -> None:
 
 
 def test_configurations_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(ValueError, match="there is no method 'ppo'; there are sac, dea-rrl"):
+    with pytest.raises(ValueError, match="there is no method 'ppo'; there are sac, wcsac, rrl"):
         StudyConfig(out=Path("s"), methods=("ppo",))
     with pytest.raises(ValueError, match=r"^seeds: no seed twice, not \[0, 0\]$"):
         StudyConfig(out=Path("s"), seeds=(0, 0))
@@ -318,6 +320,6 @@ def test_configurations_that_make_no_sense_are_refused() -> None:
             ValueError, match=rf"{name} must be a multiple of 10000, where.*{steps}"
         ):
             StudyConfig(out=Path("s"), **{name: steps})  # type: ignore[arg-type]  # by name
-    for name in ("candidates", "annealed_candidates", "limits"):
+    for name in ("candidates", "horizon_candidates", "limits"):
         with pytest.raises(ValueError, match=f"{name}: 2 for 4 selection_seeds: give one each"):
             StudyConfig(out=Path("s"), **{name: (0.1, 0.3)})  # type: ignore[arg-type]  # by name

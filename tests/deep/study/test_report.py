@@ -490,6 +490,7 @@ BROKEN = [
     ({"acr": True}, "'seeds': 'acr' must be a number, not True"),
     ({"acr": float("nan")}, "'seeds': 'acr' must be finite, not nan"),
     ({"avr": 1.5}, "'seeds': 'avr' must be in [0, 1], not 1.5"),
+    ({"threshold": -0.1}, "'seeds': 'threshold' must be at least 0, not -0.1"),
     ({"tv": -1}, "'seeds': 'tv' must be a count, not -1"),
     ({"tv": 1.5}, "'seeds': 'tv' must be a count, not 1.5"),
 ]

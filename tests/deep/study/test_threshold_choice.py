@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from deep.study.threshold_choice import Choice, choose_threshold, pick, read_threshold, write_choice
+from tests.deep import studies
 
 
 @pytest.mark.parametrize(
@@ -33,10 +34,11 @@ def runs(folder: Path, thresholds: list[float | None], violations: list[int]) ->
     select.mkdir()
     baseline.mkdir()
     seeds = [
-        {"seed": 100 + k, "threshold": threshold, "tv": tv}
+        studies.seed_result(100 + k, threshold=threshold, tv=tv)
         for k, (threshold, tv) in enumerate(zip(thresholds, violations, strict=True))
     ]
-    content = {"budget": {"env_steps": 200}, "seeds": seeds}
+    budget = {"env_steps": 200, "updates": 20, "wall_seconds": 1, "evaluation_episodes": 5}
+    content = {"budget": budget, "seeds": seeds}
     (select / "result.json").write_text(json.dumps(content))
     rows = ["step,seed,violations", "100,0,10", "100,1,20", "200,0,40", "200,1,60", "300,0,99"]
     (baseline / "progress.csv").write_text("\n".join(rows) + "\n")

@@ -407,10 +407,10 @@ def test_a_fleet_is_a_function_of_its_seeds() -> None:
 def test_training_seeds_reproduce_and_truncation_is_no_end(tmp_path: Path) -> None:
     found = train(PENDULUM, tmp_path / "both", quiet=True)
     again = train(replace(PENDULUM, seeds=(3,)), tmp_path / "one", quiet=True)
-    assert found.seeds[1]["acr"] == pytest.approx(again.seeds[0]["acr"], rel=1e-3)
-    assert found.seeds[0]["acr"] != found.seeds[1]["acr"]
-    assert [entry["episodes"] for entry in found.seeds] == [4, 4]
-    assert {entry["tv"] for entry in found.seeds} == {0}
+    assert found.seeds[1].acr == pytest.approx(again.seeds[0].acr, rel=1e-3)
+    assert found.seeds[0].acr != found.seeds[1].acr
+    assert [entry.episodes for entry in found.seeds] == [4, 4]
+    assert {entry.tv for entry in found.seeds} == {0}
     assert [row["length"] for row in table(tmp_path / "both" / "evaluations.csv")] == ["200"] * 4
     replay = Replay(tmp_path / "both" / "replay.bin", (0, 3), 2, 410, 205, 3, 1)
     rows = replay._rows.reshape(2, 615, 2, 12)[:, :410]
@@ -448,7 +448,7 @@ def test_a_resumed_run_begins_new_episodes(tmp_path: Path, monkeypatch: pytest.M
     assert not (rows[:, 0, :, :3] == rows[:, 205, :, :3]).any()
     assert np.flatnonzero(rows[0, :, 0, 11]).tolist() == [199, 204, 404]
     # 205 steps before the checkpoint end one episode of each copy, 205 after it another.
-    assert [entry["episodes"] for entry in found.seeds] == [4, 4]
+    assert [entry.episodes for entry in found.seeds] == [4, 4]
 
 
 RAILS = {"wide": (-30.0, 30.0, 0.01), "odd": (-0.1, 0.7, 0.5), "high": (99.9, 100.3, 0.004)}

@@ -142,8 +142,8 @@ def test_a_short_training_on_every_real_task(name: str, tmp_path: Path) -> None:
         checkpoint_every=80,
     )
     found = train(config, tmp_path, quiet=True)
-    assert [entry["seed"] for entry in found.seeds] == [0, 1]
-    assert all(1 <= entry["length"] <= 1000 for entry in found.seeds)
+    assert [entry.seed for entry in found.seeds] == [0, 1]
+    assert all(1 <= entry.length <= 1000 for entry in found.seeds)
     content = json.loads((tmp_path / "result.json").read_text())
     assert content["budget"]["updates"] == (240 - 80) // 10
     policy = TrainedPolicy.load(tmp_path / "policies" / "seed1.safetensors")

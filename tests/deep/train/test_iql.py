@@ -409,7 +409,7 @@ def test_results_are_the_saved_policies(config: OfflineConfig, tmp_path: Path) -
     for k, seed in enumerate(config.seeds):
         policy = TrainedPolicy.load(tmp_path / "run" / "policies" / f"seed{seed}.safetensors")
         at_end = run_episodes("brake", policy.act, None, 5, seed)
-        entry = [found.seeds[k][name] for name in ("acr", "avr", "arr", "length")]
+        entry = [getattr(found.seeds[k], name) for name in ("acr", "avr", "arr", "length")]
         assert entry == [at_end.acr, at_end.avr, at_end.arr, at_end.length]
         during = run_episodes("brake", policy.act, None, 3, seed + EPISODES_KEPT_APART)
         last = [float(evaluations[-2 + k][name]) for name in ("acr", "avr", "arr", "length")]

@@ -236,12 +236,12 @@ def test_a_policy_alone_and_behind_filters(run: Path, tmp_path: Path) -> None:
     policy = TrainedPolicy.load(run / "policies" / "seed3.safetensors")
     alone = evaluate_policies(run, None, tmp_path / "alone", episodes=6)
     found = run_episodes("brake", policy.act, None, 6, 3)
-    assert (alone[1]["acr"], alone[1]["avr"], alone[1]["arr"]) == (found.acr, found.avr, 0.0)
-    assert alone[1]["threshold"] is None
+    assert (alone[1].acr, alone[1].avr, alone[1].arr) == (found.acr, found.avr, 0.0)
+    assert alone[1].threshold is None
 
     blocking = hand_made(tmp_path / "critics", {seed: blocking_filter(0.0, 0.4) for seed in SEEDS})
     plugged = evaluate_policies(run, blocking, tmp_path / "plugged", episodes=6)
-    assert [entry["arr"] for entry in plugged] == [1.0, 1.0]
+    assert [entry.arr for entry in plugged] == [1.0, 1.0]
     content = json.loads((tmp_path / "plugged" / "result.json").read_text())
     assert content["method"] == f"sac+{blocking_filter(0.0, 0.4).method}"
     assert content["task"] == "brake"
@@ -257,12 +257,12 @@ def test_a_policy_alone_and_behind_filters(run: Path, tmp_path: Path) -> None:
     own = {SEEDS[0]: blocking_filter(0.0, 0.4), SEEDS[1]: blocking_filter(0.0, 0.6)}
     each = hand_made(tmp_path / "each", own)
     found_each = evaluate_policies(run, each, tmp_path / "plugged-each", episodes=6)
-    assert [entry["arr"] for entry in found_each] == [1.0, 0.0]
+    assert [entry.arr for entry in found_each] == [1.0, 0.0]
 
     # Q = 1/2 everywhere: at another threshold nothing is blocked.
     free = evaluate_policies(run, blocking, tmp_path / "free", threshold=0.6, episodes=6)
-    assert [entry["arr"] for entry in free] == [0.0, 0.0]
-    assert [entry["acr"] for entry in free] == [entry["acr"] for entry in alone]
+    assert [entry.arr for entry in free] == [0.0, 0.0]
+    assert [entry.acr for entry in free] == [entry.acr for entry in alone]
 
 
 def test_a_policy_is_evaluated_where_it_was_not_trained(run: Path, tmp_path: Path) -> None:
@@ -271,7 +271,7 @@ def test_a_policy_is_evaluated_where_it_was_not_trained(run: Path, tmp_path: Pat
     found = evaluate_policies(run, None, tmp_path / "out", episodes=2, task=elsewhere, rules=rules)
     policy = TrainedPolicy.load(run / "policies" / "seed3.safetensors")
     expected = run_episodes(elsewhere, policy.act, None, 2, 3, FOREIGN_COPIES, rules)
-    assert (found[1]["acr"], found[1]["length"]) == (expected.acr, expected.length)
+    assert (found[1].acr, found[1].length) == (expected.acr, expected.length)
     assert json.loads((tmp_path / "out" / "result.json").read_text())["task"] == elsewhere
 
 
@@ -280,7 +280,7 @@ def test_an_environment_keeps_the_rules_of_its_training(tmp_path: Path) -> None:
     config = replace(TINY, task="gym:Pendulum-v1", rules=rules)
     train(config, tmp_path / "run", quiet=True)
     found = evaluate_policies(tmp_path / "run", None, tmp_path / "out", episodes=2)
-    assert {entry["length"] for entry in found} == {20}
+    assert {entry.length for entry in found} == {20}
     given = ["evaluate", "--policy", str(tmp_path / "run"), "--episodes", "2"]
     options = ["--out", str(tmp_path / "other"), "--termination-is-violation", "--time-limit", "9"]
     assert main([*given, *options]) == 0

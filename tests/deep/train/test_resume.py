@@ -141,8 +141,8 @@ def test_environments_that_cannot_be_kept_begin_new_episodes(
     for k in range(2):
         assert np.array_equal(columns["observation"][k, 30], fresh[k])
         ended = columns["terminal"][k, :60] + columns["timeout"][k, :60]
-        assert trained.seeds[k]["episodes"] == ended.sum()
-        assert trained.seeds[k]["tv"] == columns["cost"][k, :60].sum()
+        assert trained.seeds[k].episodes == ended.sum()
+        assert trained.seeds[k].tv == columns["cost"][k, :60].sum()
         # Episodes of the rows 160 to 200 that began after the restart at 120.
         since = ended[30:]
         lengths, running = [], np.zeros(4)

@@ -114,10 +114,10 @@ def test_the_logs_are_what_a_recount_gives(
         found = [[float(row[name]) for name in names] for row in own]
         assert np.array(found) == pytest.approx(np.array(expected), rel=1e-5)
         last = trained.seeds[k]
-        assert last["seed"] == seed
-        assert [last["episodes"], last["tv"]] == expected[-1][1:3]
+        assert last.seed == seed
+        assert [last.episodes, last.tv] == expected[-1][1:3]
         replaced = columns["action"][k, :60] != columns["executed"][k, :60]
-        assert last["training_arr"] == pytest.approx(replaced.mean())
+        assert last.training_arr == pytest.approx(replaced.mean())
         assert (replaced.sum() > 0) == (safety is not None)
     losses = [(row["critic_loss"], row["policy_loss"]) for row in rows]
     # Where the row's own step had an update.
@@ -156,7 +156,7 @@ def test_the_transitions_are_algorithm_2s(corrected: Path, tmp_path: Path) -> No
         speed = (columns["observation"][k, ..., 1] + 1) * 4 + 2 * columns["executed"][k]
         moved = (columns["next_observation"][k, ..., 1] + 1) * 4
         assert moved == pytest.approx(np.clip(speed, 0, 8), abs=1e-5)
-    assert [row["threshold"] for row in train(config, tmp_path).seeds] == [0.5, 0.8]
+    assert [seed.threshold for seed in train(config, tmp_path).seeds] == [0.5, 0.8]
 
 
 def test_a_filter_that_blocks_everything_and_one_that_blocks_nothing(tmp_path: Path) -> None:
@@ -169,7 +169,7 @@ def test_a_filter_that_blocks_everything_and_one_that_blocks_nothing(tmp_path: P
         folder = hand_made(tmp_path / f"{name}-safety", {0: safety})
         config = replace(TINY, seeds=(0,), safety=folder, steps=120, evaluate_every=120)
         (seed,) = train(config, tmp_path / name, quiet=True).seeds
-        assert seed["arr"] == seed["training_arr"] == share
+        assert seed.arr == seed.training_arr == share
         assert {float(row["interventions"]) for row in table(tmp_path / name / "progress.csv")} == {
             share
         }
@@ -303,8 +303,8 @@ def test_a_finetuned_seed_of_a_batch_is_the_seed_alone(rrl: Path, tmp_path: Path
     config = replace(TINY, safety=rrl, threshold=(0.5,))
     both = train(config, tmp_path / "both", quiet=True)
     alone = train(replace(config, seeds=(3,)), tmp_path / "alone", quiet=True)
-    assert 0 < both.seeds[1]["training_arr"] < 1
-    assert both.seeds[1]["training_arr"] == alone.seeds[0]["training_arr"]
+    assert 0 < both.seeds[1].training_arr < 1
+    assert both.seeds[1].training_arr == alone.seeds[0].training_arr
     assert_same_run(tmp_path / "both", tmp_path / "alone", 3)
     filters = [
         SafetyFilter.load(tmp_path / name / "filters" / "seed3.safetensors")
@@ -332,7 +332,7 @@ def test_other_learners_and_corrections_run_too(tmp_path: Path, rrl: Path) -> No
     settings = WcsacSettings(hidden=(8,), batch_size=16, cost_limit=(0.3, 0.1), sharpness=24)
     wcsac = train(replace(TINY, method=settings), tmp_path / "wcsac", quiet=True)
     assert wcsac.method == "wcsac"
-    assert [seed["threshold"] for seed in wcsac.seeds] == [0.3, 0.1]
+    assert [seed.threshold for seed in wcsac.seeds] == [0.3, 0.1]
     frozen = replace(TINY, seeds=(0,), safety=rrl, finetune=False)
     assert train(frozen, tmp_path / "frozen", quiet=True).method == "rrl"
     path = Path("filters") / "seed0.safetensors"
