@@ -1,4 +1,4 @@
-"""Algorithm 1 in the paper's four forms and in this project's own: a file and a row each."""
+"""Algorithm 1 in the paper's four forms and in this project's own: a file each, and its rows."""
 
 from __future__ import annotations
 

@@ -97,10 +97,6 @@ class DeaRrl(Learner):
 
 
 FORM = Form(
-    title="DEA-RRL",
     settings=DeaRrlSettings,
     learner=DeaRrl,
-    color="#0072B2",
-    plugged=True,
-    proposed=True,
 )

@@ -135,14 +135,9 @@ class DeaRrlAnnealed(Learner):
 
 
 FORM = Form(
-    title="DEA-RRL (annealed)",
     settings=DeaRrlAnnealedSettings,
     learner=DeaRrlAnnealed,
-    color="#009E73",
     discount=discount_from_horizon,
     threshold=low_threshold,
     threshold_rule="gamma^H/4",
-    study=("--final-expectile", "0.1"),  # one that noise allows
-    plugged=True,
-    proposed=True,
 )

@@ -89,9 +89,6 @@ class DearrlIql(Learner):
 
 
 FORM = Form(
-    title="DEARRL (IQL)",
     settings=DearrlIqlSettings,
     learner=DearrlIql,
-    color="#56B4E9",
-    line=(0, (3, 1, 1, 1, 1, 1)),
 )

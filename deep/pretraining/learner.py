@@ -15,10 +15,7 @@ from deep.filter.thresholds import paper_threshold
 from deep.nn.networks import Critic, GaussianPolicy
 from deep.tasks.task import Sizes
 
-__all__ = ["Form", "Learner", "LineStyle", "Losses", "Settings"]
-
-LineStyle = str | tuple[int, tuple[float, ...]]
-"""Of a line in a figure, in matplotlib's words."""
+__all__ = ["Form", "Learner", "Losses", "Settings"]
 
 
 @dataclass(frozen=True)
@@ -102,32 +99,21 @@ class Learner(nn.Module, ABC):
 
 @dataclass(frozen=True)
 class Form:
-    """A row of the registry: all that the rest of the project knows of one form.
+    """What a form is made of; the study's side of it is a row of :mod:`deep.runs.forms`.
 
     Attributes:
-        title: its name in print.
         settings: what can be chosen, with the defaults.
         learner: settings, sizes and seeds -> the K learners; its ``name`` is the form's.
-        color, line: of its curves in the study's figures.
         discount: H -> gamma_safe; None: the settings' own, the same for every task.
         threshold: gamma_safe and H -> epsilon, where none is given.
         threshold_rule: the same in a table's words.
-        study: the options of its pretraining in the study.
-        plugged: whether the study puts task policies behind it that it has never met.
-        proposed: whether it is a proposal: ablations name it after what it is compared with.
     """
 
-    title: str
     settings: type[Settings]
     learner: type[Learner]
-    color: str
-    line: LineStyle = "-"
     discount: Callable[[int], float] | None = None
     threshold: Callable[[float, int], float] = paper_threshold
     threshold_rule: str = "gamma^(H+1/2)"
-    study: tuple[str, ...] = ("--polyak", "0.1")
-    plugged: bool = False
-    proposed: bool = False
 
     @property
     def name(self) -> str:

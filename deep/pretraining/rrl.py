@@ -88,10 +88,6 @@ class Rrl(Learner):
 
 
 FORM = Form(
-    title="RRL",
     settings=RrlSettings,
     learner=Rrl,
-    color="#D55E00",
-    line=(0, (4, 1.5)),
-    plugged=True,
 )

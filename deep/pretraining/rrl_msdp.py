@@ -71,9 +71,6 @@ class RrlMsdp(Learner):
 
 
 FORM = Form(
-    title="RRL (MSDP)",
     settings=RrlMsdpSettings,
     learner=RrlMsdp,
-    color="#CC79A7",
-    line=(0, (4, 1.2, 1, 1.2)),
 )

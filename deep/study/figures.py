@@ -18,12 +18,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-from deep.pretraining import FORMS
-from deep.pretraining.learner import LineStyle
+from deep.runs.forms import FORM_ROWS, LineStyle
+from deep.runs.seed_result import SeedResult
 from deep.study.saved_runs import Run, Study
 from deep.study.statistics import Floats, band, estimate
 from deep.study.tables import EPSILON_FORMS, ablation_forms, label
-from deep.train.result import SeedResult
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,13 +32,13 @@ __all__ = ["COLORS", "STYLES", "Curve", "ablation_figure", "epsilon_figure", "tr
 COLORS = {
     "sac": "#000000",
     "wcsac": "#E69F00",
-    **{name: form.color for name, form in FORMS.items()},
+    **{name: form.color for name, form in FORM_ROWS.items()},
     "iql": "#F0E442",
 }
 OTHER = "#777777"
 STYLES: dict[str, LineStyle] = {
     "wcsac": (0, (1, 1)),
-    **{name: form.line for name, form in FORMS.items() if form.line != "-"},
+    **{name: form.line for name, form in FORM_ROWS.items() if form.line != "-"},
 }
 """Of the methods whose line is not solid: with the colours, no two look the same in grey."""
 UNCORRECTED = ("sac", "wcsac", "iql")

@@ -25,7 +25,7 @@ from typing import Annotated
 
 import tyro
 
-from deep.pretraining import FORMS
+from deep.runs.forms import FORM_ROWS
 from deep.study.saved_runs import METHODS
 from deep.study.schedule import Job
 from deep.tasks import make_task
@@ -37,7 +37,7 @@ __all__ = ["StudyConfig", "study_jobs"]
 
 FEW_UPDATES = ("--learning-rate", "1e-3", "--batch-size", "128")
 """The authors' half a million updates at 3e-4, of 256 transitions, would take days here."""
-PLUGGED = tuple(name for name, form in FORMS.items() if form.plugged)
+PLUGGED = tuple(name for name, form in FORM_ROWS.items() if form.plugged)
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def study_jobs(config: StudyConfig) -> tuple[Job, ...]:
 
 def _task_jobs(config: StudyConfig, task: str) -> list[list[Job]]:
     """A task's jobs, stage by stage."""
-    forms = [form for form in FORMS if form in config.methods]
+    forms = [form for form in FORM_ROWS if form in config.methods]
     sac, wcsac, iql = ([m] if m in config.methods else [] for m in ("sac", "wcsac", "iql"))
     chosen = [*forms, *wcsac]
     make = _Jobs(config, task)
@@ -170,7 +170,7 @@ def _task_jobs(config: StudyConfig, task: str) -> list[list[Job]]:
             for policy in ("sac", "iql")
             if {policy, form} <= set(config.methods)
         ],
-        [make.ablation(form) for form in forms if FORMS[form].discount is None]
+        [make.ablation(form) for form in forms if not FORM_ROWS[form].from_horizon]
         if task == config.ablation_task
         else [],
         [make.real(method) for method in ("sac", *PLUGGED) if method in config.methods]
@@ -241,7 +241,8 @@ class _Jobs:
             str(self.folder / "data/offline.hdf5"), "--out", str(self.folder / part),
             "--seeds", *map(str, seeds), "--horizon", str(self.config.horizon),
             "--sharpness", str(self.config.sharpness),
-            "--updates", str(self.config.pretrain_updates), form, *FEW_UPDATES, *FORMS[form].study,
+            "--updates", str(self.config.pretrain_updates), form,
+            *FEW_UPDATES, *FORM_ROWS[form].study,
             result=f"filters/seed{seeds[-1]}.safetensors",
         )  # fmt: skip
 
@@ -250,7 +251,7 @@ class _Jobs:
 
     def select(self, form: str) -> Job:
         config = self.config
-        own = FORMS[form].discount is None
+        own = not FORM_ROWS[form].from_horizon
         candidates = config.candidates if own else config.horizon_candidates
         same = [str(config.selection_seeds[0])] * len(config.selection_seeds)
         return self._train(
@@ -307,7 +308,7 @@ class _Jobs:
             "--episodes", str(config.real_episodes),
         ]  # fmt: skip
         needs: tuple[str, ...] = ()
-        if method in FORMS:
+        if method in FORM_ROWS:
             chosen = f"select/{method}/threshold.json"
             needs = (self._name("pretrain", method), self._name(chosen))
             command += [*self._safety(method), "--threshold-from", str(self.folder / chosen)]

@@ -17,11 +17,11 @@ from types import MappingProxyType
 
 import numpy as np
 
-from deep.pretraining import FORMS
+from deep.runs.forms import FORM_ROWS
 from deep.runs.record import Record
+from deep.runs.seed_result import Budget, SeedResult, read_seeds
 from deep.study.paper_results import paper_place
 from deep.study.statistics import Floats
-from deep.train.result import Budget, SeedResult, read_seeds
 
 __all__ = ["METHODS", "SECTIONS", "Log", "Run", "Study", "read_study"]
 
@@ -31,7 +31,7 @@ METHODS: Mapping[str, str] = MappingProxyType(
     {
         "sac": "SAC",
         "wcsac": "WCSAC",
-        **{name: form.title for name, form in FORMS.items()},
+        **{name: form.title for name, form in FORM_ROWS.items()},
         "iql": "IQL",
     }
 )

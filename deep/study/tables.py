@@ -10,11 +10,11 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from deep.pretraining import FORMS
+from deep.runs.forms import FORM_ROWS
+from deep.runs.seed_result import SeedResult
 from deep.study.paper_results import PaperScore, paper_score
 from deep.study.saved_runs import METHODS, Run, Study
 from deep.study.statistics import Estimate, estimate
-from deep.train.result import SeedResult
 
 __all__ = [
     "EPSILON_FORMS",
@@ -30,10 +30,10 @@ __all__ = [
 MISSING = "missing"
 NONE = "–"
 PLUG_POLICIES = ("sac", "iql")
-PLUG_FILTERS = tuple(name for name, form in FORMS.items() if form.plugged)
-EPSILON_FORMS = tuple(sorted(FORMS, key=lambda name: FORMS[name].proposed))
+PLUG_FILTERS = tuple(name for name, form in FORM_ROWS.items() if form.plugged)
+EPSILON_FORMS = tuple(sorted(FORM_ROWS, key=lambda name: FORM_ROWS[name].proposed))
 """WCSAC's limit is no epsilon: it has rows in the table, and no place on the axis."""
-ABLATION_FORMS = tuple(name for name in EPSILON_FORMS if FORMS[name].discount is None)
+ABLATION_FORMS = tuple(name for name in EPSILON_FORMS if not FORM_ROWS[name].from_horizon)
 """The forms with one gamma_safe, to which one epsilon means the same."""
 
 DIGITS = {"acr": 2, "avr": 3, "tv": 0, "arr": 3, "training_arr": 3, "length": 0}

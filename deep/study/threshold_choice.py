@@ -18,7 +18,7 @@ from pathlib import Path
 
 from dead_ends.io.atomic import atomic_path
 from deep.runs.record import Record
-from deep.train.result import Budget, read_seeds
+from deep.runs.seed_result import Budget, read_seeds
 
 __all__ = ["Choice", "choose_threshold", "pick", "read_threshold", "write_choice"]
 

@@ -41,6 +41,7 @@ from deep.pretraining.health import Fault, check_losses, read_health
 from deep.pretraining.learner import Losses
 from deep.pretraining.run import DATA_STREAM, pretrain_in_folder, read_run
 from deep.runs.checkpoint import load_checkpoint, save_checkpoint
+from deep.runs.forms import FORM_ROWS
 from deep.tasks import make_task
 from deep.tasks.bounds import Bounds
 
@@ -220,8 +221,10 @@ def test_a_form_is_a_file_and_a_row(form: Form) -> None:
     """The command line takes its name, a run keeps it, and no other module need know it."""
     home = Path(deep.__file__).parent
     naming = {path for path in home.rglob("*.py") if f'"{form.name}"' in path.read_text()}
-    the_papers = home / "study" / "paper_results.py"
-    assert naming - {the_papers} == {Path(str(sys.modules[form.learner.__module__].__file__))}
+    elsewhere = {home / "study" / "paper_results.py", home / "runs" / "forms.py"}
+    assert list(FORM_ROWS) == list(FORMS)
+    assert FORM_ROWS[form.name].from_horizon == (form.discount is not None)
+    assert naming - elsewhere == {Path(str(sys.modules[form.learner.__module__].__file__))}
     assert form_of(form.settings()) is form
     assert form.build(form.settings(), Sizes(2, 1), (0,)).name == form.name
     command = parse(["pretrain", "--task", "brake", "--out", "x", form.name])
