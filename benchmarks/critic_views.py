@@ -36,9 +36,9 @@ from dead_ends.io.atomic import atomic_path
 from deep.data.formats import write_hdf5
 from deep.filter.safety_filter import SafetyFilter
 from deep.filter.task_policy import TrainedPolicy
-from deep.pretrain import DeaRrlAnnealedSettings, DeaRrlSettings, Settings
-from deep.pretrain.config import PretrainConfig
-from deep.pretrain.run import pretrain
+from deep.pretraining import DeaRrlAnnealedSettings, DeaRrlSettings, Settings
+from deep.pretraining.config import PretrainConfig
+from deep.pretraining.run import pretrain_in_folder
 from deep.tasks import PointGoal1
 from deep.tasks.task import Bools, Floats
 from deep.train.episodes import run_episodes
@@ -245,7 +245,7 @@ def scored(study: Path, form: str, variant: str, work: Path) -> list[dict[str, A
         sharpness=sharpness,
     )  # fmt: skip
     name = f"{form}-{keep}-{sharpness:g}"
-    safety = pretrain(config, work / name).filters[0]
+    safety = pretrain_in_folder(config, work / name).filters[0]
     policy = TrainedPolicy.load(sac / "policies" / f"seed{SEED}.safetensors")
     rows = []
     for threshold in thresholds:

@@ -20,7 +20,8 @@ from scipy import sparse
 from benchmarks import models, peers
 from benchmarks.measure import best_time, extra_memory, save
 from benchmarks.models import Table
-from dead_ends import INFINITE, Label, Labelling, SafeMDP, classify
+from dead_ends import INFINITE, Label, SafeMDP, classify
+from dead_ends.labels.labelling import Labelling
 
 QUANTECON_MAX_HORIZON = 1_000
 """Its sweeps cost S * A each: beyond, minutes a model."""

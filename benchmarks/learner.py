@@ -22,7 +22,7 @@ import torch
 
 from benchmarks.measure import save
 from benchmarks.sb3 import filled_sac
-from deep.data.scaling import Scaling
+from deep.data.normalisation import TensorNormalisation
 from deep.tasks.task import Sizes
 from deep.train.replay import Arrival, Replay
 from deep.train.sac import Sac, SacSettings
@@ -51,7 +51,7 @@ def our_updates(settings: SacSettings, seeds: int, folder: Path, replay: int = R
     learner = Sac(settings, SIZES, range(seeds))
     buffer = filled_replay(seeds, folder, replay)
     steps, done = buffer.capacity, 0
-    scaling = Scaling(buffer.normalisation(steps))
+    normalisation = TensorNormalisation(buffer.normalisation(steps))
 
     def update(count: int) -> None:
         nonlocal done
@@ -60,8 +60,8 @@ def our_updates(settings: SacSettings, seeds: int, folder: Path, replay: int = R
             learner.slow_down(0.0)
             learner.update(
                 raw._replace(
-                    observation=scaling.observation(raw.observation),
-                    next_observation=scaling.observation(raw.next_observation),
+                    observation=normalisation.observation(raw.observation),
+                    next_observation=normalisation.observation(raw.next_observation),
                 )
             )
             done += 1

@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dead_ends import FilterTable, SafeMDP, load_filter, save_filter, save_model
+from dead_ends import SafeMDP, load_filter, save_filter, save_model
 from dead_ends.__main__ import main
+from dead_ends.safety.filter_table import FilterTable
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -72,7 +73,7 @@ def test_each_format_has_a_command_that_runs(
     monkeypatch.chdir(tmp_path)
     model = SafeMDP.deterministic([[0, 1], [1, 1]], np.array([False, True]))
     for name in ("model.npz", "model.tra", "model.drn"):
-        save_model(name, model)
+        save_model(model, name)
     Path("robot.prism").write_text(
         "mdp const int N; module robot x : [0..N] init 1; [left] x>0 -> (x'=x-1); "
         '[stay] true -> true; endmodule label "pit" = x=0;'
@@ -84,7 +85,7 @@ def test_each_format_has_a_command_that_runs(
 def test_the_runtime_needs_no_package_at_all(tmp_path: Path) -> None:
     (block,) = re.findall(r"```python\n(.*?)```", MODELS, re.DOTALL)
     allowed = np.random.default_rng(0).random((20, 3)) < 0.5
-    save_filter(tmp_path / "filter.json", FilterTable(allowed, np.arange(20) % 3))
+    save_filter(FilterTable(allowed, np.arange(20) % 3), tmp_path / "filter.json")
     table = load_filter(tmp_path / "filter.json")
     script = block + (
         "\nruntime = SafetyFilter('filter.json')\n"

@@ -7,21 +7,28 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 import dead_ends
+import deep
+
+PACKAGES = [dead_ends, deep]
+NAMES = [(package, name) for package in PACKAGES for name in package.__all__]
 
 
-@pytest.mark.parametrize("name", dead_ends.__all__)
-def test_every_public_name_can_be_imported(name: str) -> None:
-    value = getattr(dead_ends, name)
+@pytest.mark.parametrize(("package", "name"), NAMES)
+def test_every_public_name_can_be_imported(package: ModuleType, name: str) -> None:
+    value = getattr(package, name)
     if callable(value):
         assert value.__doc__
 
 
-def test_type_checkers_see_the_names_that_exist() -> None:
-    tree = ast.parse(Path(dead_ends.__file__).read_text())
+@pytest.mark.parametrize("package", PACKAGES)
+def test_type_checkers_see_the_names_that_exist(package: ModuleType) -> None:
+    assert package.__file__
+    tree = ast.parse(Path(package.__file__).read_text())
     (block,) = [node for node in tree.body if isinstance(node, ast.If)]
     seen = {
         (alias.name, node.module)
@@ -29,12 +36,29 @@ def test_type_checkers_see_the_names_that_exist() -> None:
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
-    assert seen == {(name, f"dead_ends.{module}") for name, module in dead_ends._MODULE_OF.items()}
+    listed = package._MODULE_OF.items()
+    assert seen == {(name, f"{package.__name__}.{module}") for name, module in listed}
 
 
-def test_an_unknown_name_is_an_attribute_error() -> None:
+@pytest.mark.parametrize("package", PACKAGES)
+def test_an_unknown_name_is_an_attribute_error(package: ModuleType) -> None:
     with pytest.raises(AttributeError, match="has no attribute 'clasify'"):
-        dead_ends.clasify  # noqa: B018 (the access is the test)
+        package.clasify  # noqa: B018 (the access is the test)
+
+
+def test_no_public_name_of_deep_is_a_folder_of_it() -> None:
+    """Once imported, the folder would take the name's place."""
+    folders = {path.name for path in Path(deep.__path__[0]).iterdir()}
+    assert not folders & set(deep.__all__)
+
+
+@pytest.mark.parametrize("name", ["SafetyFilter", "BehaviorCorrection", "Transitions"])
+def test_filters_are_deployed_without_torch(name: str) -> None:
+    script = f"import sys, deep; deep.{name}; print(*sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert not {"torch", "tyro", "onnx"} & set(done.stdout.split())
 
 
 def test_importing_the_package_imports_nothing_heavy() -> None:

@@ -73,7 +73,7 @@ def find_witnesses(model: SafeMDP, labelling: Labelling) -> Certificate:
     )
 
 
-def save_certificate(path: str | os.PathLike[str], certificate: Certificate) -> None:
+def save_certificate(certificate: Certificate, path: str | os.PathLike[str]) -> None:
     """Write a certificate as .npz or .json.
 
     Raises:

@@ -1,4 +1,4 @@
-"""``certify FILE --out CERTIFICATE``: labels with witnesses that ``check`` verifies."""
+"""``certify FILE --out CERTIFICATE``: labels with witnesses that ``check`` checks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     check_output(arguments.out, arguments.file)
     certificate = certify(read_source(arguments))
-    save_certificate(arguments.out, certificate)
+    save_certificate(certificate, arguments.out)
     print(f"wrote {arguments.out}")
     print_rows([("model", f"sha256 {certificate.digest}")])
     return 0

@@ -11,7 +11,7 @@ import sys
 
 from dead_ends.cli.source import add_source_arguments, print_rows, read_source
 
-SUMMARY = "verify a certificate with the independent checker"
+SUMMARY = "check a certificate, independently of the solver"
 REFUSED = 1
 
 

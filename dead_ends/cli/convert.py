@@ -20,6 +20,6 @@ def run(arguments: argparse.Namespace) -> int:
 
     check_output(arguments.out, arguments.file)
     model = read_source(arguments)
-    save_model(arguments.out, model)
+    save_model(model, arguments.out)
     print(f"wrote {arguments.out}: {model}")
     return 0

@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
         "exact": critic.exact,
     }
     table = safety_filter(model, critic, threshold, metadata)
-    save_filter(arguments.out, table)
+    save_filter(table, arguments.out)
     passing = f"{int(table.allowed.sum()):,} of {table.allowed.size:,} actions pass"
     print(f"wrote {arguments.out}: {passing}")
     if model.estimate:
@@ -104,10 +104,10 @@ def _reaches_goal(model: SafeMDP, choices: NDArray[np.bool_]) -> NDArray[np.bool
     from scipy import sparse
     from scipy.sparse import csgraph
 
-    kernel = model.transitions()
-    rows = np.repeat(np.arange(kernel.shape[0]), np.diff(kernel.indptr))
+    matrix = model.transitions()
+    rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
     taken = choices.ravel()[rows]
-    source, target = rows[taken] // model.num_actions, kernel.indices[taken]
+    source, target = rows[taken] // model.num_actions, matrix.indices[taken]
     goals = np.flatnonzero(model.terminal)
     size = model.num_states + 1  # one more node, from which every goal is reached
     backwards = sparse.coo_array(

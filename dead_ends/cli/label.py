@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.out:
         from dead_ends.io.labelling import save_labelling
 
-        save_labelling(arguments.out, model, labelling, summary)
+        save_labelling(labelling, arguments.out, model=model, summary=summary)
     if arguments.json:
         print(json.dumps(summary, indent=2))
     else:

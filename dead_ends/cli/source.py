@@ -1,4 +1,4 @@
-"""The arguments by which every command is told its model."""
+"""The arguments by which every command is told its model, and what they name."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ import sys
 import warnings
 from collections.abc import Sequence
 from fractions import Fraction
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from dead_ends.model.safe_mdp import SafeMDP
 
 MAX_LISTED_STATES = 10_000_000
@@ -181,3 +184,20 @@ def print_rows(rows: Sequence[tuple[str, Any]]) -> None:
     for name, value in rows:
         text = f"{value:,}" if isinstance(value, int) else str(value)
         print(f"  {name:<{width}}  {text}")
+
+
+def read_policy(path: str | Path) -> NDArray[Any]:
+    """A policy in a .npy file.
+
+    Raises:
+        ValueError: if the file holds none.
+    """
+    import numpy as np
+
+    try:
+        policy = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError) as error:
+        raise ValueError(f"{path}: not a policy in .npy form: {error}") from None
+    if not isinstance(policy, np.ndarray):
+        raise ValueError(f"{path}: not a policy in .npy form: it holds several arrays")
+    return policy

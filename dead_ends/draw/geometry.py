@@ -1,8 +1,4 @@
-"""The cells of a model's geometry: their colors, their places, the outlines of sets.
-
-The colors are distinguishable with every common color blindness and in grey (Okabe and Ito's
-palette).
-"""
+"""The cells of a model's geometry: their colors, their places, the outlines of sets."""
 
 from __future__ import annotations
 
@@ -14,14 +10,13 @@ from matplotlib.colors import ListedColormap
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from dead_ends.draw import palette
 from dead_ends.labels.labelling import Label
 from dead_ends.model.safe_mdp import Geometry, SafeMDP
 
 __all__ = [
     "COLORS",
-    "LINES",
     "MAX_NUMBERED_CELLS",
-    "WALL",
     "coordinates",
     "draw_labels",
     "drawn_states",
@@ -31,13 +26,12 @@ __all__ = [
 ]
 
 COLORS = {
-    Label.FAIL: "#404040",
-    Label.DEAD: "#E69F00",
-    Label.SAFE: "#CDE6F5",
-    Label.AT_RISK: "#F4EDA0",
+    Label.FAIL: palette.FAIL,
+    Label.DEAD: palette.DEAD,
+    Label.SAFE: palette.SAFE,
+    Label.AT_RISK: palette.AT_RISK,
 }
-WALL = "#8C8C8C"
-LINES = ("#000000", "#D55E00", "#0072B2", "#882255", "#117733")
+"""The color of each label."""
 MAX_NUMBERED_CELLS = 400
 
 
@@ -54,7 +48,7 @@ def draw_labels(axes: Axes, geometry: Geometry, labels: NDArray[np.uint8]) -> No
     (x0, y0), (dx, dy) = geometry.origin, geometry.step
     axes.imshow(
         np.ma.masked_less(raster, 0),
-        cmap=ListedColormap([*(COLORS[label] for label in Label), WALL]),
+        cmap=ListedColormap([*(COLORS[label] for label in Label), palette.WALL]),
         vmin=-0.5,
         vmax=len(Label) + 0.5,
         origin="lower",

@@ -1,4 +1,4 @@
-"""One self-contained page about a model: ``python -m dead_ends report FILE --out report.html``.
+"""One self-contained page about a model: ``python -m dead_ends page FILE --out page.html``.
 
 The page shows the labels in the model's geometry (or in a layout by survival time, if it has
 none), lets one move gamma_safe and epsilon_safe and see what each safety critic blocks, and
@@ -14,73 +14,66 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dead_ends.certificates.certificate import find_witnesses
 from dead_ends.certificates.checker import Certificate
-from dead_ends.labels.classification import classify
+from dead_ends.draw.geometry import COLORS
+from dead_ends.draw.palette import BLOCKED, LET_THROUGH, WALL
 from dead_ends.labels.labelling import INFINITE, Label, Labelling
 from dead_ends.model.safe_mdp import Geometry, SafeMDP, require_type
-from dead_ends.safety.thresholds import ThresholdInterval, threshold_interval
-from dead_ends.values.bellman import evaluate_policy, value_iteration
-from dead_ends.values.conventions import CriticConvention, ValueConvention
+from dead_ends.safety.thresholds import ThresholdInterval
 from dead_ends.values.values import Values
 
-__all__ = ["layout_by_survival_time", "report_page"]
+__all__ = ["PageAnswers", "draw_page", "layout_by_survival_time"]
 
-GAMMAS = (0.5, 0.7, 0.8, 0.9, 0.95, 0.97, 0.98, 0.99, 0.995, 0.999)
-MAX_STATES = 100_000
 COLUMN_HEIGHT = 40
-TIME: Any = {
-    "value": ValueConvention.TIME,
-    "critic": CriticConvention.NEXT_VALUE,
-    "tolerance": 1e-6,  # the page shows five digits
-}
 
 
-def report_page(
-    model: SafeMDP, title: str, policies: Mapping[str, NDArray[Any]] | None = None
-) -> str:
+@dataclass(frozen=True, eq=False)
+class PageAnswers:
+    """What a page tells of its model; :func:`dead_ends.cli.page_answers.page_answers` solves it.
+
+    Attributes:
+        labelling: the model's labels.
+        certificate: their witnesses.
+        gammas: the values of gamma_safe that can be chosen, 0.99 among them.
+        intervals: the exact thresholds at each gamma.
+        critics: by name, a critic's discounted time at each gamma.
+    """
+
+    labelling: Labelling
+    certificate: Certificate
+    gammas: Sequence[float]
+    intervals: Sequence[ThresholdInterval]
+    critics: Mapping[str, Sequence[Values]]
+
+
+def draw_page(model: SafeMDP, answers: PageAnswers, title: str) -> str:
     """The HTML page.
 
     Args:
         model: the model.
+        answers: what is known of it.
         title: the page's heading, the model's name.
-        policies: task policies by name, int (S,) or float (S, A), whose critics can be
-            chosen beside Q*; without any, the uniformly random policy.
-
-    Raises:
-        ValueError: if the model has more states than a page can show.
     """
-    require_type(model, SafeMDP, "report_page")
-    if model.num_states > MAX_STATES:
-        raise ValueError(
-            f"the page shows at most {MAX_STATES:,} states, the model has {model.num_states:,}; "
-            "`label --out` writes the labels of any model"
-        )
-    if policies is None:
-        policies = {"uniformly random policy": _uniform(model)}
-    labelling = classify(model)
-    intervals = [threshold_interval(model, gamma) for gamma in GAMMAS]
+    require_type(model, SafeMDP, "draw_page")
+    require_type(answers, PageAnswers, "draw_page")
     content = {
         "title": title,
         "kind": "deterministic" if model.is_deterministic else "stochastic",
         "estimate": model.estimate,
-        **_states(model, labelling, find_witnesses(model, labelling)),
-        **_picture(model, labelling),
-        "gammas": GAMMAS,
-        "intervals": [_upper(interval) for interval in intervals],
-        "intervalTexts": [str(interval) for interval in intervals],
-        "critics": [_critic("best policy, Q*", [value_iteration(model, g, **TIME) for g in GAMMAS])]
-        + [
-            _critic(name, [evaluate_policy(model, policy, g, **TIME) for g in GAMMAS])
-            for name, policy in policies.items()
-        ],
+        **_states(model, answers.labelling, answers.certificate),
+        **_picture(model, answers.labelling),
+        "gammas": answers.gammas,
+        "intervals": [_upper(interval) for interval in answers.intervals],
+        "intervalTexts": [str(interval) for interval in answers.intervals],
+        "critics": [_critic(name, critics) for name, critics in answers.critics.items()],
     }
     template = files("dead_ends.draw").joinpath("page.html").read_text(encoding="utf-8")
     # "</" would end the script element that holds the data.
@@ -113,18 +106,9 @@ def layout_by_survival_time(labelling: Labelling) -> Geometry:
     return Geometry(cell=cell, x_label="fail, dead by steps to failure, at risk, safe", y_label="")
 
 
-def _uniform(model: SafeMDP) -> NDArray[np.float64]:
-    """(S, A): each available action with the same probability; anything on fail rows."""
-    available = model.available
-    count = np.maximum(available.sum(axis=1, keepdims=True), 1)
-    policy = available / count
-    policy[model.fail] = 1 / model.num_actions
-    return np.asarray(policy)
-
-
 def _states(model: SafeMDP, labelling: Labelling, certificate: Certificate) -> dict[str, Any]:
     """Labels, transitions, names and witnesses."""
-    kernel = model.transitions()
+    transitions = model.transitions()
     time = np.where(labelling.survival_time == INFINITE, -1, labelling.survival_time)
     return {
         "digest": certificate.digest,
@@ -139,9 +123,9 @@ def _states(model: SafeMDP, labelling: Labelling, certificate: Certificate) -> d
         "escape": certificate.escape.tolist(),
         "action": certificate.action.tolist(),
         "terminal": np.flatnonzero(model.terminal).tolist(),
-        "start": np.asarray(kernel.indptr).tolist(),
-        "successors": np.asarray(kernel.indices).tolist(),
-        "probabilities": None if model.is_deterministic else _packed(kernel.data),
+        "start": np.asarray(transitions.indptr).tolist(),
+        "successors": np.asarray(transitions.indices).tolist(),
+        "probabilities": None if model.is_deterministic else _packed(transitions.data),
         "stateNames": model.state_names,
         "actionNames": model.action_names,
     }
@@ -158,6 +142,10 @@ def _picture(model: SafeMDP, labelling: Labelling) -> dict[str, Any]:
         "step": geometry.step,
         "yDown": geometry.y_down,
         "hasAxes": model.geometry is not None,
+        "colors": [COLORS[label] for label in Label],
+        "wall": WALL,
+        "blocked": BLOCKED,
+        "letThrough": LET_THROUGH,
     }
 
 
@@ -167,7 +155,7 @@ def _upper(interval: ThresholdInterval) -> float | None:
     return None if not upper or np.isinf(float(upper)) else float(upper)
 
 
-def _critic(name: str, critics: list[Values]) -> dict[str, Any]:
+def _critic(name: str, critics: Sequence[Values]) -> dict[str, Any]:
     """V for each gamma, as the distinct rows over the grid and each state's row."""
     rows, index = np.unique(
         np.stack([values.V for values in critics], axis=1), axis=0, return_inverse=True

@@ -1,8 +1,7 @@
 """Pictures: results in, :class:`matplotlib.figure.Figure` out. Nothing is solved or saved here.
 
-A model is drawn cell by cell through its :class:`dead_ends.Geometry`. The colors are
-distinguishable with every common color blindness and in grey (Okabe and Ito's palette); each
-subset is named in the picture besides.
+A model is drawn cell by cell through its :class:`dead_ends.model.safe_mdp.Geometry`, in the colors
+of :mod:`dead_ends.draw.palette`; each subset is named in the picture besides.
 """
 
 from __future__ import annotations
@@ -21,9 +20,7 @@ from numpy.typing import NDArray
 
 from dead_ends.draw.geometry import (
     COLORS,
-    LINES,
     MAX_NUMBERED_CELLS,
-    WALL,
     coordinates,
     draw_labels,
     drawn_states,
@@ -31,6 +28,7 @@ from dead_ends.draw.geometry import (
     geometry_of,
     outline,
 )
+from dead_ends.draw.palette import LINES, WALL
 from dead_ends.labels.labelling import INFINITE, Label, Labelling
 from dead_ends.model.safe_mdp import Geometry, SafeMDP, require_type
 
@@ -130,7 +128,7 @@ def _map_legend(geometry: Geometry, labelling: Labelling, drawn: NDArray[np.int_
     ]
     if geometry.walls:
         kinds.append((WALL, "wall"))
-    return [Patch(facecolor=color, edgecolor="#999999", label=name) for color, name in kinds]
+    return [Patch(facecolor=color, edgecolor="grey", label=name) for color, name in kinds]
 
 
 def plot_boundaries(
@@ -279,9 +277,9 @@ def _name_region(axes: Axes, geometry: Geometry, labels: NDArray[np.uint8], labe
 def _draw_blocked(axes: Axes, blocked: Sequence[Blocked], thresholds: Sequence[str]) -> None:
     """A row a critic, a marker a threshold: the share of safe actions that it blocks."""
     markers = ("o", "s", "D", "^")
-    colors = ("#000000", "#0072B2", "#D55E00", "#117733")
+    fills = ("black", "grey", "white", "lightgrey")
     height = np.arange(len(blocked))[::-1]
-    axes.hlines(height, 0, 100, color="#DDDDDD", linewidth=1)
+    axes.hlines(height, 0, 100, color="lightgrey", linewidth=1)
     offsets = np.linspace(0.18, -0.18, len(thresholds))
     for index, threshold in enumerate(thresholds):
         shares = [100 * row.share[index] for row in blocked]
@@ -291,7 +289,8 @@ def _draw_blocked(axes: Axes, blocked: Sequence[Blocked], thresholds: Sequence[s
             linestyle="",
             marker=markers[index],
             markersize=8,
-            color=colors[index],
+            color=fills[index],
+            markeredgecolor="black",
             label=threshold,
             clip_on=False,
         )

@@ -18,9 +18,10 @@ from collections.abc import Sequence
 import gymnasium
 import numpy as np
 
+from dead_ends.draw.palette import CURRENT, FLOOR, ICE, rgb
 from dead_ends.envs.brake import BrakeLattice, brake
 from dead_ends.envs.gridworld import CURRENTS, DEFAULT_MAP, gridworld, parse_map
-from dead_ends.envs.safe_mdp_env import FLOOR, SafeMDPEnv
+from dead_ends.envs.safe_mdp_env import SafeMDPEnv
 
 __all__ = ["BRAKE_LATTICE", "brake_env", "ice_grid_env"]
 
@@ -35,8 +36,6 @@ BRAKE_LATTICE = BrakeLattice(
 )
 """30 m and 8 m/s: small enough for a table, H = 3."""
 
-ICE, CURRENT = (200, 225, 240), (120, 170, 215)
-
 
 def brake_env(lattice: BrakeLattice = BRAKE_LATTICE, render_mode: str | None = None) -> SafeMDPEnv:
     """``dead_ends/Brake-v0``: the braking car of :mod:`dead_ends.envs.brake`."""
@@ -48,7 +47,7 @@ def ice_grid_env(
 ) -> SafeMDPEnv:
     """``dead_ends/IceGrid-v0``: ice and currents, see :mod:`dead_ends.envs.gridworld`."""
     color = dict.fromkeys(CURRENTS, CURRENT) | {"~": ICE}
-    ground = [color.get(symbol, FLOOR) for symbol in parse_map(text).values() if symbol != "#"]
+    ground = [rgb(color.get(symbol, FLOOR)) for symbol in parse_map(text).values() if symbol != "#"]
     return SafeMDPEnv(gridworld(text, slip), render_mode, np.array(ground, dtype=np.uint8))
 
 

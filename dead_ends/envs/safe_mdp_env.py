@@ -18,17 +18,13 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from dead_ends.draw.palette import AGENT, FAIL, FLOOR, GOAL, WALL, rgb
 from dead_ends.model.safe_mdp import Geometry, SafeMDP, require_type
 
 __all__ = ["SafeMDPEnv"]
 
 PICTURE_SIZE = 480
 """About how many pixels wide or high a picture is."""
-
-FLOOR, WALL, FAIL, GOAL, AGENT = (
-    np.array(color, dtype=np.uint8)
-    for color in ((238, 238, 232), (60, 60, 66), (200, 60, 50), (70, 150, 90), (240, 140, 20))
-)
 
 Outcome = tuple[float, int, float, bool]
 
@@ -71,13 +67,14 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
             raise ValueError("the model has no geometry to draw; render it as ansi")
         self.model = model
         self.render_mode = render_mode
-        self._ground = np.tile(FLOOR, (model.num_states, 1)) if colors is None else colors
+        floor = np.full((model.num_states, 3), rgb(FLOOR), dtype=np.uint8)
+        self._ground = floor if colors is None else colors
         self.observation_space: spaces.Space[Any] = spaces.Discrete(model.num_states)
         self.action_space: spaces.Space[Any] = spaces.Discrete(model.num_actions)
         self.state = int(np.flatnonzero(model.initial)[0])
         self._starts = np.flatnonzero(model.initial)
         self._start_bounds = np.cumsum(model.initial[self._starts])
-        self._kernel = model.transitions()
+        self._matrix = model.transitions()
         self._mask = model.available.astype(np.int8)
         self._ended = model.fail | model.terminal
 
@@ -106,8 +103,8 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
         start, stop = self._row(before, action)
         chosen = 0
         if stop - start > 1:
-            chosen = self._draw(np.cumsum(self._kernel.data[start:stop]))
-        self.state = int(self._kernel.indices[start + chosen])
+            chosen = self._draw(np.cumsum(self._matrix.data[start:stop]))
+        self.state = int(self._matrix.indices[start + chosen])
         violation = bool(self.model.fail[self.state])
         terminated = bool(self._ended[self.state])
         return self.state, self._reward(before, action), terminated, False, self._info(violation)
@@ -138,7 +135,7 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
 
     def _row(self, state: int, action: int) -> tuple[int, int]:
         row = state * self.model.num_actions + action
-        return int(self._kernel.indptr[row]), int(self._kernel.indptr[row + 1])
+        return int(self._matrix.indptr[row]), int(self._matrix.indptr[row + 1])
 
     def _reward(self, state: int, action: int) -> float:
         return 0.0 if self.model.rewards is None else float(self.model.rewards[state, action])
@@ -156,10 +153,10 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
         reward = self._reward(state, action)
         return [
             (
-                float(self._kernel.data[entry]),
-                int(self._kernel.indices[entry]),
+                float(self._matrix.data[entry]),
+                int(self._matrix.indices[entry]),
                 reward,
-                bool(self._ended[self._kernel.indices[entry]]),
+                bool(self._ended[self._matrix.indices[entry]]),
             )
             for entry in range(*self._row(state, action))
         ]
@@ -172,7 +169,7 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
         drawn = geometry.cell[:, 0] >= 0
         column, row = geometry.cell[drawn].T
         image[row, column] = self._colors()[drawn]
-        image[walls[:, 1], walls[:, 0]] = WALL
+        image[walls[:, 1], walls[:, 0]] = rgb(WALL)
         if not geometry.y_down:
             image = image[::-1]
         pixels = max(1, PICTURE_SIZE // max(rows, columns))
@@ -181,9 +178,9 @@ class SafeMDPEnv(gymnasium.Env[int, int]):
     def _colors(self) -> NDArray[np.uint8]:
         """(S, 3), the color of each state's cell."""
         colors = self._ground.copy()
-        colors[self.model.fail] = FAIL
-        colors[self.model.terminal] = GOAL
-        colors[self.state] = AGENT
+        colors[self.model.fail] = rgb(FAIL)
+        colors[self.model.terminal] = rgb(GOAL)
+        colors[self.state] = rgb(AGENT)
         return colors
 
 

@@ -99,7 +99,7 @@ def load_drn(
         return explicit_model(explicit, failure or Failure(), normalise)
 
 
-def save_drn(path: str | os.PathLike[str], model: SafeMDP) -> None:
+def save_drn(model: SafeMDP, path: str | os.PathLike[str]) -> None:
     """Write a model.
 
     Labels: init, fail, terminal. Fail states stay where they are. Names of states become

@@ -110,7 +110,7 @@ def load_model(
     )
 
 
-def save_model(path: str | os.PathLike[str], model: SafeMDP) -> None:
+def save_model(model: SafeMDP, path: str | os.PathLike[str]) -> None:
     """Write a model in the format of the path's suffix.
 
     Raises:
@@ -122,7 +122,7 @@ def save_model(path: str | os.PathLike[str], model: SafeMDP) -> None:
     writer = _WRITERS.get(Path(path).suffix.lower())
     if writer is None:
         raise ValueError(f"{path}: models are written as {', '.join(_WRITERS)}")
-    writer(path, model)
+    writer(model, path)
 
 
 def _reader(path: Path) -> _Reader | None:
@@ -191,22 +191,22 @@ def _load_with_storm(path: Path, options: ModelOptions) -> SafeMDP:
     )
 
 
-def _save_npz(path: str | os.PathLike[str], model: SafeMDP) -> None:
+def _save_npz(model: SafeMDP, path: str | os.PathLike[str]) -> None:
     from dead_ends.io.npz import save_npz
 
-    save_npz(path, model)
+    save_npz(model, path)
 
 
-def _save_prism(path: str | os.PathLike[str], model: SafeMDP) -> None:
+def _save_prism(model: SafeMDP, path: str | os.PathLike[str]) -> None:
     from dead_ends.io.prism import save_prism
 
-    save_prism(path, model)
+    save_prism(model, path)
 
 
-def _save_drn(path: str | os.PathLike[str], model: SafeMDP) -> None:
+def _save_drn(model: SafeMDP, path: str | os.PathLike[str]) -> None:
     from dead_ends.io.drn import save_drn
 
-    save_drn(path, model)
+    save_drn(model, path)
 
 
 _Reader = Callable[[Path, ModelOptions], SafeMDP]
@@ -223,7 +223,7 @@ _READERS: dict[str, _Reader] = {
 _BINARY = (".npz", ".umb")
 """Formats that compress by themselves."""
 
-_WRITERS: dict[str, Callable[[str | os.PathLike[str], SafeMDP], None]] = {
+_WRITERS: dict[str, Callable[[SafeMDP, str | os.PathLike[str]], None]] = {
     ".npz": _save_npz,
     ".tra": _save_prism,
     ".drn": _save_drn,

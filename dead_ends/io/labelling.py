@@ -24,7 +24,7 @@ _Writer = Callable[[Path, SafeMDP, Labelling, Summary], None]
 
 
 def save_labelling(
-    path: str | os.PathLike[str], model: SafeMDP, labelling: Labelling, summary: Summary
+    labelling: Labelling, path: str | os.PathLike[str], *, model: SafeMDP, summary: Summary
 ) -> None:
     """Write every state's label and survival time, and a summary of the whole.
 

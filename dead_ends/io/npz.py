@@ -14,7 +14,7 @@ Arrays of a file (S states, A actions):
 * ``fail`` bool (S,); ``terminal`` bool (S,); ``rewards`` float (S, A); ``initial``;
 * ``state_names`` and ``action_names``, strings;
 * ``estimate``, one bool: the model is an estimate, see :class:`dead_ends.SafeMDP`;
-* ``geometry_cell`` and the other fields of :class:`dead_ends.Geometry`.
+* ``geometry_cell`` and the other fields of :class:`dead_ends.model.safe_mdp.Geometry`.
 
 Nothing is ever unpickled.
 """
@@ -51,7 +51,7 @@ _KNOWN = {
 }
 
 
-def save_npz(path: str | os.PathLike[str], model: SafeMDP) -> None:
+def save_npz(model: SafeMDP, path: str | os.PathLike[str]) -> None:
     """Write a model so that :func:`load_npz` gives it back.
 
     Raises:

@@ -92,7 +92,7 @@ def load_prism(
         return explicit_model(explicit, failure or Failure(), normalise)
 
 
-def save_prism(path: str | os.PathLike[str], model: SafeMDP) -> None:
+def save_prism(model: SafeMDP, path: str | os.PathLike[str]) -> None:
     """Write model.tra, model.lab and, if states have names, model.sta.
 
     Labels: init, deadlock, fail, terminal. Fail states stay where they are. Rewards, geometry
@@ -105,7 +105,7 @@ def save_prism(path: str | os.PathLike[str], model: SafeMDP) -> None:
         OSError: if a file cannot be written.
     """
     check_no_estimate(path, model)
-    _check_names(path, model)
+    _check_names(model, path)
     target = Path(path)
     labels, states = (target.with_suffix(suffix) for suffix in (".lab", ".sta"))
     for beside in (Path(f"{labels}{GZIP}"), Path(f"{states}{GZIP}")):
@@ -416,7 +416,7 @@ def _variables(table: dict[str, list[str]]) -> dict[str, NDArray[Any]]:
     return columns
 
 
-def _check_names(path: str | os.PathLike[str], model: SafeMDP) -> None:
+def _check_names(model: SafeMDP, path: str | os.PathLike[str]) -> None:
     check_action_names(path, model)
     for name in model.state_names or ():
         if name.strip() != name or "\n" in name or "\r" in name or not is_utf8(name):

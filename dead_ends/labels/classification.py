@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dead_ends.labels.labelling import INFINITE, Label, Labelling
+from dead_ends.model.checks import read_only
 from dead_ends.model.memory import require_memory
 from dead_ends.model.safe_mdp import SafeMDP, require_type
 
@@ -80,9 +81,7 @@ def safe_actions(model: SafeMDP, labelling: Labelling | None = None) -> NDArray[
             f"the labelling has {len(labelling.labels)} states, the model {model.num_states}"
         )
     choices = safe_choices(*_graph(model), model.terminal, labelling.labels)
-    allowed = choices.reshape(model.num_states, model.num_actions)
-    allowed.flags.writeable = False
-    return allowed
+    return read_only(choices.reshape(model.num_states, model.num_actions))
 
 
 def _bytes_needed(model: SafeMDP) -> int:
@@ -106,13 +105,11 @@ def _labelling(
     time: NDArray[np.int32],
     horizon: int | None,
 ) -> Labelling:
-    labels.flags.writeable = False
-    time.flags.writeable = False
     reached = _reached(model)
     reachable_horizon = None if reached is None else _horizon(labels, time, reached)
     return Labelling(
-        labels=labels,
-        survival_time=time,
+        labels=read_only(labels),
+        survival_time=read_only(time),
         horizon=horizon,
         boundary_horizon=None if horizon is None else _boundary(model, labels, time, None),
         reachable_horizon=reachable_horizon,

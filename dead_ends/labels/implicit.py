@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from dead_ends.labels.labelling import Label
+from dead_ends.model.checks import read_only
 from dead_ends.model.memory import require_memory
 
 __all__ = ["SURVIVES", "ImplicitLabelling", "Progress", "classify_implicit", "progress_bar"]
@@ -119,8 +120,9 @@ def classify_implicit(
         counts[Label.DEAD] += dead
         counts[Label.SAFE] += last - first - failed - dead
         horizon, boundary = max(horizon, longest), max(boundary, entered)
-    time.flags.writeable = False
-    return ImplicitLabelling(time, horizon, None if boundary < 0 else boundary, counts, sweeps)
+    return ImplicitLabelling(
+        read_only(time), horizon, None if boundary < 0 else boundary, counts, sweeps
+    )
 
 
 @contextmanager

@@ -88,14 +88,19 @@ class Names:
     ) -> None:
         self.states = _checked_names("state_names", states, num_states)
         self.actions = _checked_names("action_names", actions, num_actions)
+        self.num_states, self.num_actions = num_states, num_actions
 
     def state(self, state: int) -> str:
         """A state for a sentence."""
         return named("state", state, self.states)
 
+    def action(self, action: int) -> str:
+        """An action for a sentence."""
+        return named("action", action, self.actions)
+
     def pair(self, state: int, action: int) -> str:
         """A state and an action for a sentence."""
-        return f"{self.state(state)}, {named('action', action, self.actions)}"
+        return f"{self.state(state)}, {self.action(action)}"
 
 
 def _checked_names(what: str, names: Sequence[str] | None, count: int) -> tuple[str, ...] | None:

@@ -13,10 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dead_ends.model.checks import ROW_SUM_TOLERANCE, plain_array
+from dead_ends.model.checks import ROW_SUM_TOLERANCE, Names, plain_array
 from dead_ends.model.safe_mdp import SafeMDP
 
-__all__ = ["as_distribution", "check_policy", "exact_distribution", "single_actions"]
+__all__ = [
+    "as_distribution",
+    "check_actions",
+    "check_policy",
+    "check_table",
+    "exact_distribution",
+    "single_actions",
+]
 
 
 def check_policy(model: SafeMDP, policy: ArrayLike) -> NDArray[Any]:
@@ -34,18 +41,78 @@ def check_policy(model: SafeMDP, policy: ArrayLike) -> NDArray[Any]:
             available, a negative or NaN probability, a row that does not sum to 1 (within
             1e-9; exactly, for Fractions). Rows of fail and terminal states are not checked.
     """
-    array = plain_array("policy", policy)
-    if array.shape == (model.num_states,) and np.issubdtype(array.dtype, np.integer):
-        return _checked_actions(model, array.astype(np.int64))
-    if array.shape == (model.num_states, model.num_actions):
-        if array.dtype == object:
-            return _checked_rows(model, _fractions(array))
-        if np.issubdtype(array.dtype, np.number) and not np.iscomplexobj(array):
-            return _checked_rows(model, array.astype(np.float64))
-    raise ValueError(
-        f"a policy is an integer array ({model.num_states},) or an array of probabilities "
-        f"({model.num_states}, {model.num_actions}), not {array.dtype} {array.shape}"
-    )
+    names = Names(model.state_names, model.action_names, model.num_states, model.num_actions)
+    decides = ~(model.fail | model.terminal)
+    checked = check_table("policy", policy, decides, model.available, names)
+    return checked if checked.ndim == 1 or checked.dtype == object else checked.astype(np.float64)
+
+
+def check_table(
+    what: str,
+    policy: ArrayLike,
+    decides: NDArray[np.bool_],
+    available: NDArray[np.bool_],
+    names: Names,
+) -> NDArray[Any]:
+    """The policy as an array, once it is found to be one.
+
+    Args:
+        what: what an error calls it.
+        policy: int (S,), or (S, A) of numbers or Fractions.
+        decides: bool (S,), the states that are checked.
+        available: bool (S, A), the actions that may be taken there.
+        names: what an error calls the states and actions.
+
+    Returns:
+        int64 (S,), 0 where nothing is decided; or (S, A) as it is; objects as Fractions.
+
+    Raises:
+        ValueError: as :func:`check_policy`.
+    """
+    array = plain_array(what, policy)
+    if array.shape == decides.shape and array.dtype.kind in "iu":
+        actions = check_actions(what, np.where(decides, array, 0), names)
+        states = np.flatnonzero(decides)
+        _check_available(what, states, actions[states], available, names)
+        return actions
+    if array.shape != available.shape or array.dtype.kind not in "iufO":
+        raise ValueError(
+            f"{what} must be integers {decides.shape} or probabilities {available.shape}, "
+            f"not {array.dtype} {array.shape}"
+        )
+    rows = _fractions(array) if array.dtype == object else array
+    negative = np.argwhere(decides[:, None] & ~np.asarray(rows >= 0, dtype=np.bool_))
+    if len(negative):
+        state, action = (int(index) for index in negative[0])
+        pair = names.pair(state, action)
+        raise ValueError(f"{what}: {pair}: probability {rows[state, action]}")
+    taken = decides[:, None] & np.asarray(rows > 0, dtype=np.bool_)
+    states, actions = np.nonzero(taken)
+    _check_available(what, states, actions, available, names)
+    _check_sums(what, rows, decides, names)
+    return rows
+
+
+def check_actions(what: str, actions: ArrayLike, names: Names) -> NDArray[np.int64]:
+    """One existing action a state, int64 (S,), be it available or not.
+
+    Raises:
+        ValueError: naming the state and action.
+    """
+    array = plain_array(what, actions)
+    if array.shape != (names.num_states,) or array.dtype.kind not in "iu":
+        raise ValueError(
+            f"{what} must be integers of shape ({names.num_states},), "
+            f"not {array.dtype} of shape {array.shape}"
+        )
+    wrong = np.flatnonzero((array < 0) | (array >= names.num_actions))
+    if len(wrong):
+        state = int(wrong[0])
+        raise ValueError(
+            f"{what}: {names.state(state)}: there is no action {array[state]} "
+            f"(0 to {names.num_actions - 1})"
+        )
+    return array.astype(np.int64)
 
 
 def as_distribution(policy: ArrayLike, num_actions: int) -> NDArray[Any]:
@@ -66,7 +133,10 @@ def exact_distribution(model: SafeMDP, policy: ArrayLike) -> NDArray[np.object_]
         ValueError: as :func:`check_policy`, and for a row that does not sum to exactly 1.
     """
     distribution = as_distribution(check_policy(model, policy), model.num_actions)
-    return _checked_rows(model, _fractions(distribution))
+    exact = _fractions(distribution)
+    names = Names(model.state_names, model.action_names, model.num_states, model.num_actions)
+    _check_sums("policy", exact, ~(model.fail | model.terminal), names)
+    return exact
 
 
 def single_actions(model: SafeMDP, policy: NDArray[Any]) -> NDArray[np.int64] | None:
@@ -82,49 +152,27 @@ def single_actions(model: SafeMDP, policy: NDArray[Any]) -> NDArray[np.int64] | 
     return None
 
 
-def _checked_actions(model: SafeMDP, actions: NDArray[np.int64]) -> NDArray[np.int64]:
-    decides = ~(model.fail | model.terminal)
-    wrong = np.flatnonzero(decides & ((actions < 0) | (actions >= model.num_actions)))
-    if len(wrong):
-        raise ValueError(
-            f"policy: {model.state_name(wrong[0])}: there is no action {actions[wrong[0]]} "
-            f"(0 to {model.num_actions - 1})"
-        )
-    taken = np.where(decides, actions, 0)
-    unavailable = decides & ~model.available[np.arange(model.num_states), taken]
-    if unavailable.any():
-        state = int(np.flatnonzero(unavailable)[0])
-        raise _not_available(model, state, int(actions[state]))
-    return actions
+def _check_available(
+    what: str,
+    states: NDArray[np.intp],
+    actions: NDArray[Any],
+    available: NDArray[np.bool_],
+    names: Names,
+) -> None:
+    bad = np.flatnonzero(~available[states, actions])
+    if len(bad):
+        state, action = int(states[bad[0]]), int(actions[bad[0]])
+        raise ValueError(f"{what}: {names.state(state)}: {names.action(action)} is not available")
 
 
-def _checked_rows(model: SafeMDP, rows: NDArray[Any]) -> NDArray[Any]:
-    decides = ~(model.fail | model.terminal)
-    wrong = decides[:, None] & ~np.asarray(rows >= 0, dtype=np.bool_)
-    if wrong.any():
-        state, action = (int(index) for index in np.argwhere(wrong)[0])
-        raise ValueError(
-            f"policy: {model.state_name(state)}, {model.action_name(action)}: "
-            f"probability {rows[state, action]}"
-        )
-    wrong = decides[:, None] & np.asarray(rows > 0, dtype=np.bool_) & ~model.available
-    if wrong.any():
-        state, action = (int(index) for index in np.argwhere(wrong)[0])
-        raise _not_available(model, state, action)
-    sums = rows.sum(axis=1)
+def _check_sums(what: str, rows: NDArray[Any], decides: NDArray[np.bool_], names: Names) -> None:
     exact = rows.dtype == object
+    sums = rows.sum(axis=1) if exact else rows.sum(axis=1, dtype=np.float64)
     off = np.asarray(sums != 1 if exact else ~(np.abs(sums - 1) <= ROW_SUM_TOLERANCE))
     if (decides & off).any():
         state = int(np.flatnonzero(decides & off)[0])
         total = f"{sums[state]}, not exactly 1" if exact else f"{sums[state]:.12g}, not 1"
-        raise ValueError(f"policy: {model.state_name(state)}: probabilities sum to {total}")
-    return rows
-
-
-def _not_available(model: SafeMDP, state: int, action: int) -> ValueError:
-    return ValueError(
-        f"policy: {model.state_name(state)}: {model.action_name(action)} is not available"
-    )
+        raise ValueError(f"{what}: {names.state(state)}: probabilities sum to {total}")
 
 
 def _fractions(rows: NDArray[Any]) -> NDArray[np.object_]:

@@ -142,7 +142,7 @@ class SafeMDP:
                 other is copied once.
             fail: bool (S,). Rows of fail states are ignored: the episode has ended.
             terminal: bool (S,), goals: safe and absorbing, their rows are ignored.
-            rewards: finite float (S, A), for :func:`dead_ends.plan`.
+            rewards: finite float (S, A), for :func:`dead_ends.safety.planning.plan`.
             initial: the first state: indices, a bool mask (S,), or a distribution (S,).
             state_names, action_names: S and A names.
             geometry: where states are drawn.
@@ -360,5 +360,6 @@ _MADE_BY = {
     "Values": " (value_iteration and evaluate_policy make them)",
     "Labelling": " (classify makes one)",
     "Certificate": " (certify makes one)",
+    "FilterTable": " (safety_filter makes one)",
     "ExpectedSurvival": " (expected_survival makes one)",
 }

@@ -24,6 +24,7 @@ from dead_ends.model.checks import (
     mend_rows,
     not_one,
     read_fraction,
+    read_only,
     shown,
 )
 
@@ -263,5 +264,5 @@ def _raise_first(bad: NDArray[np.bool_], num_actions: int, name: NamePair, what:
 def _freeze(kernel: Csr) -> Csr:
     kernel.sort_indices()
     for array in (kernel.data, kernel.indices, kernel.indptr):
-        array.flags.writeable = False
+        read_only(array)
     return kernel

@@ -25,9 +25,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dead_ends.labels.classification import classify, safe_actions
-from dead_ends.model.checks import plain_array
+from dead_ends.model.checks import plain_array, read_only
 from dead_ends.model.safe_mdp import SafeMDP, require_type
-from dead_ends.safety.policies import Critic, allowed_actions, recovery_policy
+from dead_ends.safety.critics import Unguarded, require_critic
+from dead_ends.safety.policies import allowed_actions, recovery_policy
 from dead_ends.values.bellman import evaluate_policy, value_iteration
 from dead_ends.values.expectile import expectile_iteration
 from dead_ends.values.values import Values
@@ -174,25 +175,28 @@ def dea_rrl_expectile(
         gamma_safe: the discount of the cost; a Fraction makes the critic exact.
 
     Raises:
-        ValueError: as :func:`dead_ends.expectile_iteration`.
+        ValueError: as :func:`dead_ends.values.expectile.expectile_iteration`.
     """
     require_type(model, SafeMDP, "dea_rrl_expectile")
     critic = expectile_iteration(model, data_policy, expectile, gamma_safe)
     return _method(f"DEA-RRL (expectile {expectile})", critic)
 
 
-def conservatism(model: SafeMDP, Q: Critic, epsilon_safe: float | Fraction) -> Conservatism:
+def conservatism(
+    model: SafeMDP, Q: Values | Unguarded, epsilon_safe: float | Fraction
+) -> Conservatism:
     """How much of what is safe a gate Q(s, a) < epsilon_safe blocks.
 
     Args:
         model: the model.
-        Q: the safety critic (S, A).
+        Q: the safety critic (S, A): Values, or :func:`dead_ends.unguarded` of a bare table.
         epsilon_safe: the threshold.
 
     Raises:
         ValueError: as :func:`dead_ends.allowed_actions`; if the shapes do not fit.
     """
     require_type(model, SafeMDP, "conservatism")
+    require_critic(Q, "conservatism")
     allowed = allowed_actions(Q, epsilon_safe)
     if allowed.shape != (model.num_states, model.num_actions):
         raise ValueError(
@@ -214,9 +218,7 @@ def conservatism(model: SafeMDP, Q: Critic, epsilon_safe: float | Fraction) -> C
 
 
 def _method(name: str, critic: Values) -> Method:
-    recovery = recovery_policy(critic)
-    recovery.flags.writeable = False
-    return Method(name, critic, recovery)
+    return Method(name, critic, read_only(recovery_policy(critic)))
 
 
 def _improve(critic: Values, policy: NDArray[Any]) -> NDArray[Any]:

@@ -27,7 +27,7 @@ from dead_ends.values.discount import power, scientific
 from dead_ends.values.precision import UndecidedError
 from dead_ends.values.values import Values
 
-__all__ = ["Statement", "Verification", "verify_report"]
+__all__ = ["Statement", "Verification", "verify_statements"]
 
 EXACT_PAIRS = 2_000
 """Stochastic models with at most so many state-action pairs are solved in Fractions."""
@@ -103,7 +103,7 @@ class _Subject:
         return Statement(place, claim, not failing, "; ".join(part for part in parts if part))
 
 
-def verify_report(
+def verify_statements(
     model: SafeMDP,
     gamma_safe: float | Fraction = 0.99,
     epsilon_safe: float | Fraction | None = None,
@@ -127,7 +127,7 @@ def verify_report(
             epsilon_safe that is not positive, or if no float is a threshold and the discount is
             no Fraction.
     """
-    require_type(model, SafeMDP, "verify_report")
+    require_type(model, SafeMDP, "verify_statements")
     if epsilon_safe is not None and not epsilon_safe > 0:
         raise ValueError(f"epsilon_safe must be positive, not {epsilon_safe}")
     exact = None if model.is_deterministic or model.available.size > EXACT_PAIRS else True

@@ -1,5 +1,6 @@
 """Theorems 1 and 2: thresholds, recovery policies, behavior correction, and what they promise.
 
+critics             what a decision is taken on: values with bounds, or a table without
 thresholds          the thresholds that separate safe from unsafe actions
 policies            allowed actions, policy sets, recovery policies
 correction          behavior correction, and the corrected task as a model

@@ -28,30 +28,43 @@ from numpy.typing import ArrayLike, NDArray
 
 from dead_ends.io.environment_model import EnvironmentModel, key_text
 from dead_ends.labels.classification import safe_actions
-from dead_ends.model.checks import plain_array
-from dead_ends.model.policy_table import as_distribution
+from dead_ends.model.checks import Names, read_only
+from dead_ends.model.policy_table import as_distribution, check_actions
 from dead_ends.model.safe_mdp import SafeMDP, require_type
+from dead_ends.safety.critics import Unguarded, critic_table, require_critic
 from dead_ends.safety.filter_table import FilterTable
-from dead_ends.safety.policies import (
-    Critic,
-    allowed_actions,
-    checked_policy,
-    critic_table,
-    recovery_policy,
-)
+from dead_ends.safety.policies import allowed_actions, checked_policy, recovery_policy
 from dead_ends.values.bellman import value_iteration
+from dead_ends.values.values import Values
 
-__all__ = ["behavior_correction", "corrected_model", "safety_filter"]
+__all__ = ["behavior_correction", "corrected_actions", "corrected_model", "safety_filter"]
+
+
+def corrected_actions(
+    allowed: NDArray[np.bool_], recovery: NDArray[Any], states: ArrayLike, proposed: ArrayLike
+) -> NDArray[Any]:
+    """The proposed actions where they are allowed, else the recovery policy's.
+
+    Args:
+        allowed: bool (S, A), the actions that pass.
+        recovery: int (S,), what is executed instead of the others.
+        states, proposed: ints that broadcast against each other.
+    """
+    states, proposed = np.asarray(states), np.asarray(proposed)
+    return np.where(allowed[states, proposed], proposed, recovery[states])
 
 
 def behavior_correction(
-    policy: ArrayLike, Q: Critic, epsilon_safe: float | Fraction, recovery: ArrayLike
+    policy: ArrayLike,
+    Q: Values | Unguarded,
+    epsilon_safe: float | Fraction,
+    recovery: ArrayLike,
 ) -> NDArray[Any]:
     """The policy that is executed when a task policy's proposals are corrected.
 
     Args:
         policy: the task policy, int (S,) or float or Fraction (S, A).
-        Q: the safety critic (S, A).
+        Q: the safety critic (S, A): Values, or :func:`dead_ends.unguarded` of a bare table.
         epsilon_safe: actions with Q(s, a) < epsilon_safe pass.
         recovery: the recovery policy, in either form; independent of the task policy's draw.
 
@@ -65,6 +78,7 @@ def behavior_correction(
         ValueError: as :func:`dead_ends.allowed_actions`; if shapes do not fit; if the
             recovery policy is needed and takes an action that is not available (Q = +inf).
     """
+    require_critic(Q, "behavior_correction")
     allowed = allowed_actions(Q, epsilon_safe)
     table = critic_table(Q)
     task = checked_policy(policy, table)
@@ -72,7 +86,7 @@ def behavior_correction(
     if task.ndim == 1 and rec.ndim == 1:
         states = np.arange(len(table))
         _check_recovery(~allowed[states, task], rec, table)
-        return np.where(allowed[states, task], task, rec)
+        return corrected_actions(allowed, rec, states, task)
     shares, rec_shares = (_shares(each, allowed.shape[1]) for each in (task, rec))
     passing = np.where(allowed, shares, 0)
     blocked = np.where(allowed, 0, shares).sum(axis=1, keepdims=True)
@@ -84,7 +98,7 @@ def behavior_correction(
 
 def corrected_model(
     model: SafeMDP,
-    Q: Critic,
+    Q: Values | Unguarded,
     epsilon_safe: float | Fraction,
     recovery: ArrayLike | None = None,
 ) -> SafeMDP:
@@ -92,7 +106,7 @@ def corrected_model(
 
     Args:
         model: the model.
-        Q: the safety critic (S, A).
+        Q: the safety critic (S, A): Values, or :func:`dead_ends.unguarded` of a bare table.
         epsilon_safe: actions with Q(s, a) < epsilon_safe pass.
         recovery: int (S,), the action executed instead of a blocked one; None takes
             ``recovery_policy(Q)``.
@@ -108,18 +122,21 @@ def corrected_model(
             recovery policy is needed in a state where its action is not available.
     """
     require_type(model, SafeMDP, "corrected_model")
+    require_critic(Q, "corrected_model")
     allowed = allowed_actions(Q, epsilon_safe)
     if allowed.shape != (model.num_states, model.num_actions):
         raise ValueError(
             f"Q must have shape ({model.num_states}, {model.num_actions}), not {allowed.shape}"
         )
-    rec = recovery_policy(Q) if recovery is None else _recovery_indices(recovery, model)
-    corrected = _corrected(model, allowed, rec)
-    states = np.arange(model.num_states)
+    names = Names(model.state_names, model.action_names, *allowed.shape)
+    rec = check_actions("recovery", recovery_policy(Q) if recovery is None else recovery, names)
+    states = np.arange(model.num_states)[:, None]
+    passes = ~_corrected(model, allowed, rec)
+    taken = corrected_actions(passes, rec, states, np.arange(model.num_actions))
 
     def executed(table: NDArray[Any]) -> NDArray[Any]:
         """table[s, executed action] for every proposed action."""
-        return _read_only(np.where(corrected, table[states, rec][:, None], table))
+        return read_only(table[states, taken])
 
     rewards = None if model.rewards is None else executed(model.rewards)
     if model.next_state is not None:
@@ -134,7 +151,7 @@ def corrected_model(
 
 def safety_filter(
     model: SafeMDP,
-    Q: Critic | None = None,
+    Q: Values | Unguarded | None = None,
     epsilon_safe: float | Fraction | None = None,
     metadata: Mapping[str, Any] | None = None,
 ) -> FilterTable:
@@ -142,7 +159,8 @@ def safety_filter(
 
     Args:
         model: the model.
-        Q: the safety critic (S, A); None takes ``value_iteration(model)``.
+        Q: the safety critic (S, A): Values, or :func:`dead_ends.unguarded` of a bare table;
+            None takes ``value_iteration(model)``.
         epsilon_safe: actions with Q(s, a) < epsilon_safe pass; None: exactly the actions that
             keep a safe state safe, decided from the graph.
         metadata: JSON values that say how the table is made.
@@ -157,6 +175,7 @@ def safety_filter(
     """
     require_type(model, SafeMDP, "safety_filter")
     critic = value_iteration(model) if Q is None else Q
+    require_critic(critic, "safety_filter")
     stays = safe_actions(model)
     allowed = stays if epsilon_safe is None else allowed_actions(critic, epsilon_safe)
     recovery = np.where(stays.any(axis=1), stays.argmax(axis=1), recovery_policy(critic))
@@ -190,22 +209,6 @@ def _corrected(
     return corrected
 
 
-def _recovery_indices(recovery: ArrayLike, model: SafeMDP) -> NDArray[np.integer[Any]]:
-    rec = plain_array("recovery", recovery)
-    if rec.shape != (model.num_states,) or not np.issubdtype(rec.dtype, np.integer):
-        raise ValueError(
-            f"recovery must be integers of shape ({model.num_states},), "
-            f"not {rec.dtype} of shape {rec.shape}"
-        )
-    bad = np.flatnonzero((rec < 0) | (rec >= model.num_actions))
-    if len(bad):
-        raise ValueError(
-            f"recovery: {model.state_name(int(bad[0]))}: action {rec[bad[0]]} is not one of "
-            f"0 to {model.num_actions - 1}"
-        )
-    return rec
-
-
 def _shares(policy: NDArray[Any], num_actions: int) -> NDArray[Any]:
     """pi(a | s); of an integer policy as integers, so that Fractions beside it stay exact."""
     shares = as_distribution(policy, num_actions)
@@ -223,8 +226,3 @@ def _check_recovery(needed: NDArray[np.bool_], recovery: NDArray[Any], table: ND
         raise ValueError(
             f"recovery: state {state}, action {action} is not available there (Q = +inf)"
         )
-
-
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    array.flags.writeable = False
-    return array

@@ -32,7 +32,9 @@ from dead_ends.io.atomic import atomic_path
 from dead_ends.io.environment_model import canonical_key, key_text
 from dead_ends.io.errors import located
 from dead_ends.io.npz import read_arrays
-from dead_ends.model.checks import plain_array
+from dead_ends.model.checks import Names, plain_array, read_only
+from dead_ends.model.policy_table import check_actions
+from dead_ends.model.safe_mdp import require_type
 
 __all__ = ["FilterTable", "load_filter", "save_filter"]
 
@@ -64,8 +66,8 @@ class FilterTable:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "allowed", _allowed(plain_array("allowed", self.allowed)))
-        recovery = plain_array("recovery", self.recovery)
-        object.__setattr__(self, "recovery", _recovery(recovery, *self.allowed.shape))
+        recovery = check_actions("recovery", self.recovery, Names(None, None, *self.allowed.shape))
+        object.__setattr__(self, "recovery", read_only(recovery))
         if not isinstance(self.metadata, Mapping):
             raise ValueError(f"metadata must be an object of JSON, not {self.metadata!r}")
         num_states, num_actions = self.allowed.shape
@@ -87,16 +89,17 @@ class FilterTable:
         return {key: state for state, key in enumerate(self.keys or ())}
 
 
-def save_filter(path: str | os.PathLike[str], table: FilterTable) -> None:
+def save_filter(table: FilterTable, path: str | os.PathLike[str]) -> None:
     """Write a safety filter to an npz or a JSON file, by the suffix; whole or not at all.
 
     Args:
-        path: a name that ends in .npz or .json.
         table: the filter, as :func:`dead_ends.safety_filter` gives.
+        path: a name that ends in .npz or .json.
 
     Raises:
         ValueError: for another suffix, or metadata that is not JSON.
     """
+    require_type(table, FilterTable, "save_filter")
     write = {".npz": _write_npz, ".json": _write_json}[_suffix(path)]
     try:
         description = json.dumps(dict(table.metadata))
@@ -174,21 +177,7 @@ def _allowed(array: NDArray[Any]) -> NDArray[np.bool_]:
         raise ValueError(f"allowed must be boolean, not {array.dtype}")
     if array.ndim != 2 or 0 in array.shape:
         raise ValueError(f"allowed must have shape (S, A), not {array.shape}")
-    return _frozen(array.copy())
-
-
-def _recovery(array: NDArray[Any], num_states: int, num_actions: int) -> NDArray[np.int64]:
-    if not np.issubdtype(array.dtype, np.integer):
-        raise ValueError(f"recovery must hold integers, not {array.dtype}")
-    if array.shape != (num_states,):
-        raise ValueError(f"recovery must have shape ({num_states},), not {array.shape}")
-    bad = np.flatnonzero((array < 0) | (array >= num_actions))
-    if len(bad):
-        raise ValueError(
-            f"recovery: state {bad[0]} has action {array[bad[0]]}, "
-            f"but actions are 0 to {num_actions - 1}"
-        )
-    return _frozen(array.astype(np.int64))
+    return read_only(array.copy())
 
 
 def _names(table: FilterTable) -> dict[str, list[str]]:
@@ -205,8 +194,3 @@ def _strings(strings: Any, name: str, least: int, most: int) -> tuple[str, ...] 
     if not least <= len(strings) <= most:
         raise ValueError(f"{name} must have {most} entries, not {len(strings)}")
     return tuple(strings)
-
-
-def _frozen(array: NDArray[Any]) -> NDArray[Any]:
-    array.flags.writeable = False
-    return array

@@ -41,6 +41,7 @@ from scipy import sparse
 
 from dead_ends.labels.classification import classify
 from dead_ends.labels.labelling import INFINITE
+from dead_ends.model.checks import read_only
 from dead_ends.model.safe_mdp import SafeMDP, require_type
 from dead_ends.values.conventions import CriticConvention, ValueConvention
 from dead_ends.values.discount import SMALLEST_NORMAL
@@ -179,8 +180,7 @@ def _survival(
     upper: NDArray[Any],
     exact: bool,
 ) -> ExpectedSurvival:
-    for array in (time, lower, upper):
-        array.flags.writeable = False
+    time, lower, upper = read_only(time), read_only(lower), read_only(upper)
     return ExpectedSurvival(time=time, lower=lower, upper=upper, exact=exact, dead=dead)
 
 

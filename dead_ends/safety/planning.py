@@ -22,13 +22,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dead_ends.labels.classification import classify
-from dead_ends.model.checks import plain_array
+from dead_ends.model.checks import plain_array, read_only
 from dead_ends.model.safe_mdp import SafeMDP, require_type
 from dead_ends.safety.correction import corrected_model
 from dead_ends.safety.policies import allowed_actions
@@ -123,7 +123,7 @@ def plan(
     values, policy = _solve(bellman)
     bound_on_error = bellman.error_bound(values)
     J = math.fsum(model.initial * values)
-    return PlanResult(J, _read_only(values), _read_only(policy), True, 0, bound_on_error)
+    return PlanResult(J, read_only(values), read_only(policy), True, 0, bound_on_error)
 
 
 def price_of_conservatism(
@@ -246,7 +246,7 @@ def _solve(bellman: _Bellman) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 def _infeasible(num_states: int, blocked_states: int) -> PlanResult:
     values = np.full(num_states, -np.inf)
     policy = np.full(num_states, -1, dtype=np.int64)
-    return PlanResult(-math.inf, _read_only(values), _read_only(policy), False, blocked_states, 0.0)
+    return PlanResult(-math.inf, read_only(values), read_only(policy), False, blocked_states, 0.0)
 
 
 def _checked_discount(gamma: float | Fraction) -> float:
@@ -267,8 +267,3 @@ def _checked_mask(allowed: NDArray[np.bool_], model: SafeMDP) -> NDArray[np.bool
             f"not {mask.dtype} of shape {mask.shape}"
         )
     return mask
-
-
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    array.flags.writeable = False
-    return array

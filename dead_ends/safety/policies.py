@@ -26,24 +26,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dead_ends.model.checks import ROW_SUM_TOLERANCE, plain_array
-from dead_ends.model.policy_table import as_distribution
+from dead_ends.model.checks import Names, plain_array
+from dead_ends.model.policy_table import as_distribution, check_table
+from dead_ends.safety.critics import Unguarded, critic_table, require_critic
 from dead_ends.values.precision import UndecidedError
 from dead_ends.values.values import Values
 
 __all__ = [
-    "Critic",
     "Reading",
     "allowed_actions",
     "checked_policy",
-    "critic_table",
     "greedy_actions",
     "in_policy_set",
     "recovery_policy",
 ]
-
-Critic = Values | ArrayLike
-"""A safety critic: solved values, or a bare table Q (S, A) of floats or Fractions."""
 
 
 class Reading(StrEnum):
@@ -56,7 +52,7 @@ class Reading(StrEnum):
     """sum_a pi(a|s) Q(s, a) < epsilon_safe; such policies may fail."""
 
 
-def greedy_actions(Q: Critic) -> NDArray[np.bool_]:
+def greedy_actions(Q: ArrayLike | Values | Unguarded) -> NDArray[np.bool_]:
     """All minimisers of each row: the actions a greedy recovery policy may take.
 
     Args:
@@ -75,7 +71,9 @@ def greedy_actions(Q: Critic) -> NDArray[np.bool_]:
     return np.asarray((table == best) & (table < math.inf), dtype=np.bool_)
 
 
-def recovery_policy(Q: Critic, rng: np.random.Generator | None = None) -> NDArray[np.int64]:
+def recovery_policy(
+    Q: ArrayLike | Values | Unguarded, rng: np.random.Generator | None = None
+) -> NDArray[np.int64]:
     """One greedy recovery policy, pi_rec(s) in argmin_a Q(s, a) (obj_rec_p in the paper).
 
     Args:
@@ -95,7 +93,7 @@ def recovery_policy(Q: Critic, rng: np.random.Generator | None = None) -> NDArra
     return np.asarray(np.where(greedy, rng.random(greedy.shape), -1.0).argmax(axis=1))
 
 
-def allowed_actions(Q: Critic, epsilon_safe: float | Fraction) -> NDArray[np.bool_]:
+def allowed_actions(Q: Values | Unguarded, epsilon_safe: float | Fraction) -> NDArray[np.bool_]:
     """The actions that the safety filter lets through: Q(s, a) < epsilon_safe, strictly.
 
     Nothing is rounded: a Fraction epsilon is compared exactly with floats, and beside a critic
@@ -103,19 +101,21 @@ def allowed_actions(Q: Critic, epsilon_safe: float | Fraction) -> NDArray[np.boo
     are in exact solutions.
 
     Args:
-        Q: a critic (S, A). For :class:`Values` that are not exact the bounds decide. Where
-            they enclose epsilon but Q equals it (epsilon = gamma_safe**k on a deterministic
-            model) the action is blocked.
+        Q: a critic (S, A): :class:`Values`, of which the bounds decide unless they are exact.
+            Where they enclose epsilon but Q equals it (epsilon = gamma_safe**k on a
+            deterministic model) the action is blocked. Of a bare table
+            :func:`dead_ends.unguarded` the numbers decide as they are.
         epsilon_safe: the threshold; at 0 or below nothing is allowed.
 
     Returns:
         bool (S, A), False where Q is +inf: unavailable actions and fail states.
 
     Raises:
-        ValueError: if Q is no table of numbers, or has a NaN; if epsilon_safe is NaN; if the
-            bounds of a value leave open on which side of epsilon_safe it lies. The message
-            names the state and action.
+        TypeError: if Q is a bare table.
+        ValueError: if epsilon_safe is NaN; if the bounds of a value leave open on which side
+            of epsilon_safe it lies. The message names the state and action.
     """
+    require_critic(Q, "allowed_actions")
     table = critic_table(Q)
     epsilon = _read_threshold(epsilon_safe, table)
     if isinstance(Q, Values) and not Q.exact:
@@ -125,7 +125,7 @@ def allowed_actions(Q: Critic, epsilon_safe: float | Fraction) -> NDArray[np.boo
 
 def in_policy_set(
     policy: ArrayLike,
-    Q: Critic,
+    Q: Values | Unguarded,
     epsilon_safe: float | Fraction,
     *,
     safe: NDArray[np.bool_] | None = None,
@@ -149,6 +149,7 @@ def in_policy_set(
     Raises:
         ValueError: as :func:`allowed_actions`; if shapes do not fit; if ``safe`` is missing.
     """
+    require_critic(Q, "in_policy_set")
     table = critic_table(Q)
     rows = np.flatnonzero(_safe_states(safe, Q, len(table)))
     distribution = as_distribution(checked_policy(policy, table), table.shape[1])
@@ -168,24 +169,6 @@ def in_policy_set(
     )
 
 
-def critic_table(Q: Critic) -> NDArray[Any]:
-    """The checked table Q (S, A) of a critic: float64 (or longer), or objects such as Fractions.
-
-    A value that underflowed to 0 although its state is lost is replaced by its upper bound, so
-    that it is never taken for the 0 of a safe action.
-
-    Raises:
-        ValueError: if Q is no table of real numbers, or has a NaN; the message names the place.
-    """
-    if isinstance(Q, Values):
-        table = _checked_table(Q.Q)
-        if Q.exact:
-            return table
-        underflowed = (table == 0) & (Q.Q_upper > 0)
-        return np.where(underflowed, Q.Q_upper, table) if underflowed.any() else table
-    return _checked_table(Q)
-
-
 def checked_policy(policy: ArrayLike, table: NDArray[Any], what: str = "policy") -> NDArray[Any]:
     """A policy checked against a critic's table, without a model: int (S,) or (S, A).
 
@@ -195,56 +178,9 @@ def checked_policy(policy: ArrayLike, table: NDArray[Any], what: str = "policy")
     Raises:
         ValueError: naming the state and action.
     """
-    array = plain_array(what, policy)
-    acts = np.asarray((table < math.inf).any(axis=1))
-    if array.shape == table.shape[:1] and np.issubdtype(array.dtype, np.integer):
-        wrong = np.flatnonzero(acts & ((array < 0) | (array >= table.shape[1])))
-        if len(wrong):
-            raise ValueError(
-                f"{what}: state {wrong[0]}: there is no action {array[wrong[0]]} "
-                f"(0 to {table.shape[1] - 1})"
-            )
-        return np.where(acts, array, 0)
-    if array.shape != table.shape or array.dtype.kind not in "iufO":
-        raise ValueError(
-            f"{what} must be integers {table.shape[:1]} or probabilities {table.shape}, "
-            f"not {array.dtype} {array.shape}"
-        )
-    negative = np.argwhere(acts[:, None] & ~np.asarray(array >= 0, dtype=np.bool_))
-    if len(negative):
-        state, action = negative[0]
-        raise ValueError(
-            f"{what}: state {state}, action {action}: probability {array[state, action]}"
-        )
-    sums = array.sum(axis=1)
-    off = np.flatnonzero(acts & ~np.asarray(abs(sums - 1) <= ROW_SUM_TOLERANCE, dtype=np.bool_))
-    if len(off):
-        raise ValueError(f"{what}: state {off[0]}: probabilities sum to {sums[off[0]]}, not 1")
-    return array
-
-
-def _checked_table(Q: ArrayLike) -> NDArray[Any]:
-    table = plain_array("Q", Q)
-    if table.shape == () and table.dtype == object:
-        raise TypeError(f"Q must be Values or a table (S, A), not {type(Q).__name__}")
-    if table.ndim != 2 or 0 in table.shape:
-        raise ValueError(f"Q must have shape (S, A), not {table.shape}")
-    if table.dtype.kind in "iuf":
-        table = table.astype(np.result_type(table.dtype, np.float64), copy=False)
-    elif table.dtype == object:
-        _check_real(table)
-    else:
-        raise ValueError(f"Q must hold floats or Fractions, not {table.dtype}")
-    nan = np.argwhere(np.asarray(table != table, dtype=np.bool_))
-    if len(nan):
-        raise ValueError(f"Q: state {nan[0][0]}, action {nan[0][1]} is NaN")
-    return table
-
-
-def _check_real(table: NDArray[np.object_]) -> None:
-    for (state, action), value in np.ndenumerate(table):
-        if not isinstance(value, Real) or isinstance(value, bool):
-            raise ValueError(f"Q: state {state}, action {action} is {value!r}, not a number")
+    acts = np.asarray((table < math.inf).any(axis=1), dtype=np.bool_)
+    every = np.ones(table.shape, dtype=np.bool_)
+    return check_table(what, policy, acts, every, Names(None, None, *table.shape))
 
 
 def _read_threshold(epsilon_safe: float | Fraction, table: NDArray[Any]) -> float | Fraction:
@@ -294,7 +230,9 @@ def _undecided(what: str, lower: Any, upper: Any, epsilon: float | Fraction) -> 
     )
 
 
-def _safe_states(safe: NDArray[np.bool_] | None, Q: Critic, num_states: int) -> NDArray[np.bool_]:
+def _safe_states(
+    safe: NDArray[np.bool_] | None, Q: Values | Unguarded, num_states: int
+) -> NDArray[np.bool_]:
     if safe is None:
         if not isinstance(Q, Values):
             raise ValueError(

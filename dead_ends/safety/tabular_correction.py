@@ -33,6 +33,7 @@ from gymnasium.utils import RecordConstructorArgs
 from dead_ends.io.environment_model import canonical_key, key_text, short
 from dead_ends.io.gymnasium_table import table_digest, transition_table
 from dead_ends.io.trial import discrete_range
+from dead_ends.safety.correction import corrected_actions
 from dead_ends.safety.filter_table import FilterTable, load_filter
 
 __all__ = ["TabularCorrection"]
@@ -128,7 +129,8 @@ class TabularCorrection(gymnasium.Wrapper[Any, int, Any, int], RecordConstructor
         task = self._checked(action)
         proposed = task - self.actions.start
         intervened = not self.table.allowed[self._state, proposed]
-        executed = int(self.table.recovery[self._state]) if intervened else proposed
+        passes, recovery = self.table.allowed, self.table.recovery
+        executed = int(corrected_actions(passes, recovery, self._state, proposed))
         executed += self.actions.start
         self.steps += 1
         self.interventions += intervened

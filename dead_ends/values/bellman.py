@@ -27,7 +27,7 @@ point of the equations as written, capped at 1.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any
 
@@ -49,7 +49,7 @@ from dead_ends.values.conventions import CriticConvention, ValueConvention
 from dead_ends.values.critic import Known, Settings, from_equations, from_operator, from_times
 from dead_ends.values.discount import Discount
 from dead_ends.values.fixed_point.operators import Optimum, unknown_rows
-from dead_ends.values.fixed_point.rounding import Csr, Float, RoundedKernel, pattern
+from dead_ends.values.fixed_point.rounding import Csr, RoundedKernel, pattern
 from dead_ends.values.values import Values
 
 __all__ = ["evaluate_policy", "value_iteration"]
@@ -205,8 +205,8 @@ def least(
     known: Known,
     settings: Settings,
     merged: int = 0,
-) -> Callable[[NDArray[np.int64], Float], Optimum]:
-    """The operator min_a q(., a) of a kernel (S * A, S), as ``from_operator`` asks for it.
+) -> Optimum:
+    """The operator min_a q(., a) of a kernel (S * A, S), on the states whose value is unknown.
 
     Args:
         kernel, available: the kernel and its actions (S, A).
@@ -214,15 +214,12 @@ def least(
         settings: the discount.
         merged: operations that were spent on an entry of the kernel.
     """
-
-    def operator(unknown: NDArray[np.int64], weights: Float) -> Optimum:
-        rows = sparse.csr_array(kernel[unknown_rows(unknown, available.shape[1])])
-        return Optimum(
-            kernel=RoundedKernel.build(rows, known.zero, known.one, merged),
-            available=available[unknown],
-            unknown=unknown,
-            weights=weights,
-            gamma=float(settings.gamma),
-        )
-
-    return operator
+    unknown = known.unknown
+    rows = sparse.csr_array(kernel[unknown_rows(unknown, available.shape[1])])
+    return Optimum(
+        kernel=RoundedKernel.build(rows, known.zero, known.one, merged),
+        available=available[unknown],
+        unknown=unknown,
+        weights=known.weights,
+        gamma=float(settings.gamma),
+    )

@@ -1,13 +1,15 @@
-"""From the solution of Bellman's equations to a critic in one of the paper's conventions.
+"""From Bellman's equations, set up, to a critic in one of the paper's conventions.
 
-Three ways to the same result, :class:`dead_ends.values.values.Values`: from survival times (powers
-of gamma), from Fractions, and from enclosures in floating point. What the conventions are in
-terms of V_A, the discounted cost on entering fail, is stated in :mod:`dead_ends.values.discount`.
+:mod:`dead_ends.values.bellman` and :mod:`dead_ends.values.expectile` set the equations up; here
+they are solved by :mod:`dead_ends.values.fixed_point`, and the solution is expressed in a
+convention. Three ways to the same result, :class:`dead_ends.values.values.Values`: from survival
+times (powers of gamma), from Fractions, and from enclosures in floating point. What the
+conventions are in terms of V_A, the discounted cost on entering fail, is stated in
+:mod:`dead_ends.values.discount`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -16,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dead_ends.labels.labelling import INFINITE
+from dead_ends.model.checks import read_only
 from dead_ends.model.safe_mdp import SafeMDP
 from dead_ends.values.conventions import CriticConvention, ValueConvention
 from dead_ends.values.discount import Discount, Powers, power_table, read_discount
@@ -104,6 +107,11 @@ class Known:
         """The other states."""
         return np.flatnonzero(~(self.zero | self.one))
 
+    @property
+    def weights(self) -> Float:
+        """w of these states, float (S,); 0 on the others."""
+        return self.one.astype(np.float64)
+
 
 def from_times(model: SafeMDP, times: NDArray[np.int32], settings: Settings) -> Values:
     """The critic of a deterministic model from the times to fail (``INFINITE``: never).
@@ -172,7 +180,7 @@ def _exact_column(
 def from_operator(
     model: SafeMDP,
     known: Known,
-    operator: Callable[[NDArray[np.int64], Float], MonotoneOperator],
+    operator: MonotoneOperator,
     settings: Settings,
 ) -> Values:
     """The critic in floats, with bounds.
@@ -180,18 +188,16 @@ def from_operator(
     Args:
         model: the model.
         known: the states whose value the graph decides.
-        operator: from the unknown states and the weights w of the known ones (S,) to the
-            operator whose fixed point is V_A on the unknown states.
+        operator: its fixed point is V_A on the unknown states.
         settings: the discount, the convention and the tolerance.
 
     Raises:
         ValueError: if the bounds are not within the tolerance after ``max_iterations`` sweeps.
     """
     unknown = known.unknown
-    weights = known.one.astype(np.float64)
     count = len(unknown)
     bounds = enclose(
-        operator(unknown, weights),
+        operator,
         np.zeros(count),
         np.ones(count),
         settings.tolerance,
@@ -204,7 +210,7 @@ def from_operator(
         float(settings.gamma),
     )
     entering = tuple(
-        _scattered(weights, unknown, x) for x in (bounds.lower, bounds.estimate, bounds.upper)
+        _scattered(known.weights, unknown, x) for x in (bounds.lower, bounds.estimate, bounds.upper)
     )
     powers = settings.powers
     V = _discounted(entering, settings, powers.value, model.fail, float(powers.fail_value))
@@ -257,7 +263,7 @@ def _values(
     Q: tuple[NDArray[Any], ...],
 ) -> Values:
     for array in (*V, *Q):
-        array.flags.writeable = False
+        read_only(array)
     return Values(
         V=V[1],
         Q=Q[1],

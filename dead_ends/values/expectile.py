@@ -161,17 +161,16 @@ def _exactly(
 def _enclosed(
     model: SafeMDP, known: Known, data: Float, expectile: float, settings: Settings
 ) -> Values:
-    def operator(unknown: NDArray[np.int64], weights: Float) -> Expectile:
-        rows = sparse.csr_array(model.transitions()[unknown_rows(unknown, model.num_actions)])
-        return Expectile(
-            kernel=RoundedKernel.build(rows, known.zero, known.one),
-            data=np.where(model.available, data, 0.0)[unknown],
-            expectile=expectile,
-            unknown=unknown,
-            weights=weights,
-            gamma=float(settings.gamma),
-        )
-
+    unknown = known.unknown
+    rows = sparse.csr_array(model.transitions()[unknown_rows(unknown, model.num_actions)])
+    operator = Expectile(
+        kernel=RoundedKernel.build(rows, known.zero, known.one),
+        data=np.where(model.available, data, 0.0)[unknown],
+        expectile=expectile,
+        unknown=unknown,
+        weights=known.weights,
+        gamma=float(settings.gamma),
+    )
     return from_operator(model, known, operator, settings)
 
 

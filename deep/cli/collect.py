@@ -11,7 +11,7 @@ import tyro
 
 from deep.data.formats import write_hdf5
 from deep.data.transitions import Transitions, summarise
-from deep.pretrain.config import Mix
+from deep.pretraining.config import Mix
 from deep.runs.folder import new_file
 from deep.tasks import make_task
 from deep.tasks.gym import NO_RULES, Rules

@@ -9,8 +9,8 @@ from typing import Annotated
 
 import tyro
 
-from deep.pretrain.config import PretrainConfig
-from deep.pretrain.run import pretrain
+from deep.pretraining.config import PretrainConfig
+from deep.pretraining.run import pretrain_in_folder
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Pretrain:
 
         A filter of no use is a result, and the run finished: the status is 0.
         """
-        result = pretrain(self.run_config, self.out)
+        result = pretrain_in_folder(self.run_config, self.out)
         for safety, health in zip(result.filters, result.health, strict=True):
             print(f"{self.out / 'filters'}/seed{safety.seed}.safetensors: {health}")
         useless = [str(health.seed) for health in result.health if health.fault]

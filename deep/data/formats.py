@@ -49,7 +49,12 @@ COLUMNS = (*NEEDED, "next_observations")
 
 
 def write_hdf5(data: Transitions, path: str | os.PathLike[str]) -> None:
-    """Write the flat layout; the file is whole or absent."""
+    """Write the flat layout; the file is whole or absent.
+
+    >>> write_hdf5(log, "log.hdf5")
+    >>> len(read_hdf5("log.hdf5"))
+    5
+    """
     with atomic_path(path) as temporary, h5py.File(temporary, "w") as file:
         for field in fields(Transitions):
             file.create_dataset(field.name, data=getattr(data, field.name), compression="gzip")
@@ -67,6 +72,10 @@ def read_hdf5(
 
     Raises:
         ValueError: naming the file, the column and the row at fault.
+
+    >>> write_hdf5(log, "log.hdf5")
+    >>> read_hdf5("log.hdf5", violation="cost > 0.5").costs.tolist()
+    [0.0, 0.0, 1.0, 0.0, 0.0]
     """
     check_rule(violation)
     if not Path(path).is_file():
@@ -279,6 +288,10 @@ def from_minari(
 
     Raises:
         ValueError: naming the episode, and the column and row in it that are at fault.
+
+    >>> from deep.data.formats import to_minari
+    >>> from_minari(to_minari(log, "car/log-v0")).costs.tolist()
+    [0.0, 0.0, 1.0, 0.0, 0.0]
     """
     check_rule(violation)
     parts: list[Columns] = []

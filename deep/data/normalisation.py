@@ -1,10 +1,15 @@
-"""How offline data become the networks' inputs: powers, means, deviations; and what they cover."""
+"""How offline data become the networks' inputs: powers, means, deviations; and what they cover.
+
+:class:`Normalisation` holds the numbers and needs no torch: filters carry one.
+:class:`TensorNormalisation` applies those of K seeds to tensors, while they are trained.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +17,15 @@ from numpy.typing import NDArray
 from deep.data.transitions import Transitions
 from deep.tasks.bounds import CONSTANT, LARGEST, LEAST, ROUNDING, Bounds
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
 __all__ = [
     "Normalisation",
     "Ranges",
+    "TensorNormalisation",
     "centre_and_scale",
+    "columns",
     "normalisation_of",
     "normalisation_of_observations",
     "normalise",
@@ -207,3 +217,42 @@ def _scaled(
     scaled /= np.array(scale, dtype=np.float32)
     scaled.flags.writeable = False
     return scaled
+
+
+class TensorNormalisation:
+    """The same for tensors (K, B, .) of K seeds, each with its own numbers.
+
+    Args:
+        normalisation: one a seed.
+    """
+
+    def __init__(self, normalisation: Sequence[Normalisation]) -> None:
+        self.of_seeds = tuple(normalisation)
+        self._centre = columns(n.observation_centre for n in normalisation)
+        self._scale = columns(n.observation_scale for n in normalisation)
+        self._action_centre = columns(n.action_centre for n in normalisation)
+        self._action_scale = columns(n.action_scale for n in normalisation)
+        ones = (1.0,) * self._centre.shape[-1]
+        self._power = columns(n.observation_power or ones for n in normalisation)
+        self._sharp = bool((self._power != 1).any())
+
+    def observation(self, raw: Tensor) -> Tensor:
+        """(raw ** power - centre) / scale, as :meth:`Normalisation.powered` has it."""
+        if self._sharp:
+            raw = raw.where(self._power == 1, raw.clamp(min=0) ** self._power)
+        return (raw - self._centre) / self._scale
+
+    def action(self, raw: Tensor) -> Tensor:
+        """(raw - centre) / scale."""
+        return (raw - self._action_centre) / self._action_scale
+
+    def raw_action(self, action: Tensor) -> Tensor:
+        """The inverse of :meth:`action`."""
+        return action * self._action_scale + self._action_centre
+
+
+def columns(rows: Iterable[Sequence[float]]) -> Tensor:
+    """float32 (K, 1, n), a tensor, from K rows."""
+    import torch  # here, as filters run without it
+
+    return torch.tensor(list(rows), dtype=torch.float32)[:, None]

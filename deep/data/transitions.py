@@ -45,6 +45,16 @@ class Transitions:
         costs: float32 (N,), 1 at a violation, else 0.
         terminals: bool (N,), the episode ended here by itself (violations included).
         timeouts: bool (N,), the episode was cut off here: bootstrap through it.
+
+    A car before a wall, in two episodes, the first of which ends in it:
+
+    >>> gap = np.array([[3.0], [2.0], [1.0], [3.0], [2.5]])
+    >>> log = Transitions(
+    ...     observations=gap, actions=[[1.0], [1.0], [1.0], [0.5], [-1.0]],
+    ...     next_observations=gap - 1, rewards=np.zeros(5), costs=[0, 0, 1, 0, 0],
+    ...     terminals=[0, 0, 1, 0, 0], timeouts=[0, 0, 0, 0, 1])
+    >>> len(log), log.ends.tolist()
+    (5, [False, False, True, False, True])
     """
 
     observations: Floats
@@ -267,7 +277,11 @@ class Summary:
 
 
 def summarise(data: Transitions) -> Summary:
-    """Counts and ranges; an unfinished last episode counts as one."""
+    """Counts and ranges; an unfinished last episode counts as one.
+
+    >>> print(summarise(log))
+    5 transitions in 2 episodes (2.5 steps each), 1 violations, 1 timeouts; observations in R^1, ...
+    """
     episodes = int(data.ends.sum()) + int(not data.ends[-1])
     return Summary(
         transitions=len(data),

@@ -57,6 +57,13 @@ class BehaviorCorrection(
 
     Raises:
         ValueError: if the environment does not fit the filter.
+
+    >>> safety = pretrain(log, horizon=3, updates=3, quiet=True).filters[0]
+    >>> protected = BehaviorCorrection(env, safety)
+    >>> observation, info = protected.reset(seed=0)
+    >>> observation, reward, terminated, truncated, info = protected.step(np.array([1.0]))
+    >>> sorted(info)
+    ['critic', 'executed_action', 'intervened', 'not_finite', 'not_finite_steps', ...]
     """
 
     def __init__(
@@ -142,6 +149,13 @@ class BehaviorCorrectionVector(VectorWrapper[NDArray[Any], NDArray[Any], NDArray
 
     Raises:
         ValueError: if the environment does not fit the filter.
+
+    >>> safety = pretrain(log, horizon=3, updates=3, quiet=True).filters[0]
+    >>> envs = gymnasium.vector.SyncVectorEnv([lambda: env])
+    >>> protected = BehaviorCorrectionVector(envs, safety)
+    >>> observations, infos = protected.reset(seed=0)
+    >>> protected.step(np.array([[1.0]]))[-1]["intervened"].shape
+    (1,)
     """
 
     def __init__(

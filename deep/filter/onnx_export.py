@@ -101,7 +101,11 @@ def _powered(graph: _Graph, x: str, power: tuple[float, ...]) -> str:
 
 
 def export_onnx(safety: SafetyFilter, path: str | os.PathLike[str]) -> None:
-    """Write the filter as an ONNX model (opset 17)."""
+    """Write the filter as an ONNX model (opset 17).
+
+    >>> safety = pretrain(log, horizon=3, updates=3, quiet=True).filters[0]
+    >>> export_onnx(safety, "filter.onnx")
+    """
     graph = _Graph()
     n = safety.normalisation
     ends = inner_ends(safety.actions)

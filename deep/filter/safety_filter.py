@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deep.data.normalisation import Normalisation
+from deep.filter.equation import corrected
 from deep.filter.perceptron import (
     Floats,
     Layers,
@@ -90,6 +91,13 @@ class SafetyFilter:
         observations: the range of the observations that it was trained on.
         reach: the recovery action is reach * tanh(mean), cut off at the action range.
         gamma_safe, method, seed: where it comes from.
+
+    >>> safety = pretrain(log, horizon=3, updates=3, quiet=True).filters[0]
+    >>> safety.save("filter.safetensors")
+    >>> loaded = SafetyFilter.load("filter.safetensors").with_threshold(0.01)
+    >>> done = loaded.correct(np.array([[1.0], [np.nan]]), np.array([[1.0], [0.0]]))
+    >>> done.intervened, done.not_finite
+    (array([ True,  True]), array([False,  True]))
     """
 
     critic: Layers
@@ -266,9 +274,9 @@ class SafetyFilter:
                 out_of_range = self.out_of_range(seen)
                 not_finite = ~(_finite(seen) & _finite(proposed))
                 critic[not_finite] = 1
-            intervened = ~(critic < self.threshold)
-            if intervened.any():
-                executed = np.where(intervened[:, None], self._recovered(seen), executed)
+            executed, intervened = corrected(
+                executed, critic, self.threshold, lambda: self._recovered(seen)
+            )
         return Correction(executed, intervened, critic, out_of_range, not_finite)
 
     def out_of_range(self, observations: NDArray[Any]) -> Bools:

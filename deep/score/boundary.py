@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deep.data.collect import Policy
+from deep.filter.equation import blocks, corrected
 from deep.filter.safety_filter import SafetyFilter
 from deep.score.exact_answers import ExactAnswer, ExactTask, oracle_allows, oracle_blocks
 from deep.tasks import Task
@@ -19,10 +20,10 @@ from deep.tasks.task import Bools, Floats
 __all__ = [
     "BoundaryScore",
     "ClosedLoop",
-    "Gate",
-    "LearnedGate",
-    "OracleGate",
+    "LearnedFilter",
+    "OracleFilter",
     "Points",
+    "ScoredFilter",
     "action_grid",
     "box_points",
     "closed_loop",
@@ -34,8 +35,8 @@ __all__ = [
 Actions: TypeAlias = NDArray[np.floating]
 
 
-class Gate(Protocol):
-    """A critic, and the correction that it leads to, in terms of true states."""
+class ScoredFilter(Protocol):
+    """A filter as it is scored: critic and correction in terms of true states."""
 
     def critic(self, state: Floats, action: Actions) -> NDArray[np.floating]:
         """Q_c, (n,)."""
@@ -45,8 +46,8 @@ class Gate(Protocol):
 
 
 @dataclass(frozen=True)
-class LearnedGate:
-    """A learned filter, which sees observations only.
+class LearnedFilter:
+    """A safety filter, which sees observations only.
 
     Raises:
         ValueError: if it was trained on other actions than a task's, which fill [-1, 1].
@@ -69,7 +70,7 @@ class LearnedGate:
 
 
 @dataclass(frozen=True)
-class OracleGate:
+class OracleFilter:
     """The limit of every filter: it knows the exact labels. Its critic is 0 or 1."""
 
     answer: ExactAnswer
@@ -81,9 +82,8 @@ class OracleGate:
 
     def correct(self, state: Floats, action: Actions) -> tuple[Actions, Bools]:
         """Replace exactly the actions that may leave the safe set, by the safest one."""
-        blocked = ~oracle_allows(self.answer, state, action)
-        safest = self.task.safest_action(state)
-        return np.where(blocked[:, None], safest, action), blocked
+        critic = self.critic(state, action)
+        return corrected(action, critic, 1.0, lambda: self.task.safest_action(state))
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,10 +143,10 @@ def box_points(
     )
 
 
-def critic_table(gate: Gate, points: Points) -> NDArray[np.float32]:
+def critic_table(scored: ScoredFilter, points: Points) -> NDArray[np.float32]:
     """float32 (N, A): Q_c of every point and action of the grid."""
     columns = [
-        gate.critic(points.state, np.broadcast_to(a, (len(points.state), len(a))))
+        scored.critic(points.state, np.broadcast_to(a, (len(points.state), len(a))))
         for a in points.action
     ]
     return np.stack(columns, axis=1).astype(np.float32)
@@ -173,7 +173,7 @@ class BoundaryScore:
 
 def score_boundary(table: NDArray[np.float32], threshold: float, points: Points) -> BoundaryScore:
     """The scores of a critic's table (N, A) at a threshold."""
-    over: Bools = np.greater_equal(table, np.float32(threshold))
+    over = blocks(table, threshold)
     called: Bools = np.all(over, axis=1, keepdims=True)[:, 0]
     dead, near = points.dead, points.near
     blocked, unsafe, fine = over[~dead], points.unsafe[~dead], points.fine[~dead]
@@ -202,7 +202,7 @@ def safe_starts(answer: ExactAnswer, count: int, rng: np.random.Generator) -> Fl
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """Whole episodes of a task policy behind a gate.
+    """Whole episodes of a task policy behind a filter.
 
     Attributes:
         episodes: how many.
@@ -218,16 +218,20 @@ class ClosedLoop:
 
 
 def closed_loop(
-    task: Task, gate: Gate | None, policy: Policy, starts: Floats, rng: np.random.Generator
+    task: Task,
+    scored: ScoredFilter | None,
+    policy: Policy,
+    starts: Floats,
+    rng: np.random.Generator,
 ) -> ClosedLoop:
-    """One episode from each start, to its end; without a gate the policy acts freely."""
+    """One episode from each start, to its end; without a filter the policy acts freely."""
     state = starts.copy()
     steps = interventions = failures = 0
     total = 0.0
     for _ in range(task.time_limit):
         action = np.clip(policy(task.observe(state), state, rng), -1, 1)
-        if gate is not None:
-            action, intervened = gate.correct(state, action)
+        if scored is not None:
+            action, intervened = scored.correct(state, action)
             interventions += int(intervened.sum())
         step = task.step(state, action, rng)
         steps += len(state)

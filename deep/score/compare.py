@@ -20,18 +20,18 @@ from dead_ends.io.atomic import atomic_path
 from deep.data.collect import Policy, random_policy, sb3_policy, towards_obstacle_policy
 from deep.filter.safety_filter import SafetyFilter
 from deep.filter.thresholds import paper_threshold
-from deep.pretrain import FORMS
-from deep.pretrain.config import Mix, PretrainConfig
-from deep.pretrain.run import pretrain
+from deep.pretraining import FORMS
+from deep.pretraining.config import Mix, PretrainConfig
+from deep.pretraining.run import pretrain_in_folder
 from deep.runs.bootstrap import percentile_interval
 from deep.runs.folder import open_folder
 from deep.score.boundary import (
     BoundaryScore,
     ClosedLoop,
-    Gate,
-    LearnedGate,
-    OracleGate,
+    LearnedFilter,
+    OracleFilter,
     Points,
+    ScoredFilter,
     box_points,
     closed_loop,
     critic_table,
@@ -190,7 +190,7 @@ def _trained(
         mix=Mix(transitions=config.transitions, anywhere=config.anywhere),
         device=config.device,
     )
-    return pretrain(run, config.out / method, quiet=quiet).filters
+    return pretrain_in_folder(run, config.out / method, quiet=quiet).filters
 
 
 def _filter_scores(
@@ -202,7 +202,7 @@ def _filter_scores(
     safety: SafetyFilter,
 ) -> tuple[SeedScore, ...]:
     """The scores at the method's own threshold and at the others that are of interest."""
-    table = critic_table(LearnedGate(answer.task, safety), points)
+    table = critic_table(LearnedFilter(answer.task, safety), points)
     horizon_rule = paper_threshold(safety.gamma_safe, answer.horizon)
     form = FORMS[method]
     rules = {form.threshold_rule: safety.threshold, "gamma^(H+1/2)": horizon_rule}
@@ -214,7 +214,7 @@ def _filter_scores(
             answer,
             points,
             policies,
-            LearnedGate(answer.task, safety.with_threshold(threshold)),
+            LearnedFilter(answer.task, safety.with_threshold(threshold)),
             table,
             SeedName(method, rule, threshold, safety.seed),
         )
@@ -237,10 +237,10 @@ def _oracle_scores(
 ) -> tuple[SeedScore, ...]:
     if not isinstance(answer.task, ExactTask):
         return ()  # enclosed only: nobody knows the labels in the gap
-    gate = OracleGate(answer, answer.task)
-    table = critic_table(gate, points)
+    scored = OracleFilter(answer, answer.task)
+    table = critic_table(scored, points)
     name = SeedName("oracle", "exact labels", 1.0, 0)
-    return (_score(config, answer, points, policies, gate, table, name),)
+    return (_score(config, answer, points, policies, scored, table, name),)
 
 
 def _score(
@@ -248,7 +248,7 @@ def _score(
     answer: ExactAnswer,
     points: Points,
     policies: tuple[Policy, ...],
-    gate: Gate,
+    scored: ScoredFilter,
     table: NDArray[np.float32],
     name: SeedName,
 ) -> SeedScore:
@@ -256,7 +256,7 @@ def _score(
     for number, policy in enumerate(policies):
         rng = np.random.default_rng((EPISODE_STREAM, number, name.seed))
         starts = safe_starts(answer, config.episodes, rng)
-        loops.append(closed_loop(answer.task, gate, policy, starts, rng))
+        loops.append(closed_loop(answer.task, scored, policy, starts, rng))
     boundary = score_boundary(table, name.threshold, points)
     return SeedScore(name.method, name.rule, name.threshold, name.seed, boundary, tuple(loops))
 

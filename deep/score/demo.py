@@ -8,9 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from dead_ends.io.atomic import atomic_path
-from deep.pretrain.config import Mix, PretrainConfig
-from deep.pretrain.run import pretrain
-from deep.score.boundary import BoundaryScore, LearnedGate, box_points, critic_table, score_boundary
+from deep.pretraining.config import Mix, PretrainConfig
+from deep.pretraining.run import pretrain_in_folder
+from deep.score.boundary import (
+    BoundaryScore,
+    LearnedFilter,
+    box_points,
+    critic_table,
+    score_boundary,
+)
 from deep.score.exact_answers import exact_answer
 from deep.tasks import make_task
 
@@ -52,13 +58,13 @@ def demo(config: DemoConfig, *, quiet: bool = False) -> dict[str, tuple[Boundary
             updates=config.updates,
             mix=Mix(transitions=config.transitions),
         )
-        filters = pretrain(run, config.out / name, quiet=quiet).filters
+        filters = pretrain_in_folder(run, config.out / name, quiet=quiet).filters
         points = box_points(answer, 5000, 17, 0.05, np.random.default_rng(0))
         scores[name] = tuple(
-            score_boundary(critic_table(LearnedGate(answer.task, f), points), f.threshold, points)
+            score_boundary(critic_table(LearnedFilter(answer.task, f), points), f.threshold, points)
             for f in filters
         )
-        boundary_axes(axes, answer, filters, f"{name}: dead-ends (red), learned (blue)")
+        boundary_axes(axes, answer, filters, f"{name}: dead-ends (orange), learned (blue)")
     with atomic_path(config.out / "demo.png") as temporary:
         figure.savefig(temporary, dpi=150)
     return scores

@@ -10,8 +10,9 @@ import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
+from dead_ends.draw.palette import BLOCKED, DEAD, FAIL, LET_THROUGH, LINES, SAFE, UNKNOWN
 from deep.filter.safety_filter import SafetyFilter
-from deep.score.boundary import LearnedGate, action_grid
+from deep.score.boundary import LearnedFilter, action_grid
 from deep.score.exact_answers import ExactAnswer
 from deep.tasks.shapes import inside_any
 from deep.tasks.task import Floats
@@ -24,8 +25,7 @@ __all__ = ["boundary_axes", "boundary_figure", "learned_value", "sweep_figure"]
 CELLS = 160
 ACTIONS = {1: 17, 2: 5}
 """Of the grid in each action coordinate, by how many there are."""
-SAFE, GAP, DEAD, FAIL = "#f4f4f0", "#dcd6c4", "#e8a49c", "#8c8c8c"
-LEARNED = "#1f4e9c"
+LEARNED = LINES[2]
 
 
 @dataclass(frozen=True)
@@ -57,11 +57,11 @@ def _box_grid(answer: ExactAnswer) -> tuple[Floats, Floats, Floats]:
 
 def learned_value(answer: ExactAnswer, safety: SafetyFilter, points: Floats) -> Floats:
     """float (n,): min over a dense grid of actions of Q_c."""
-    gate = LearnedGate(answer.task, safety)
+    scored = LearnedFilter(answer.task, safety)
     least = np.full(len(points), np.inf)
     for action in action_grid(answer.task.action_dim, ACTIONS[answer.task.action_dim]):
         repeated = np.broadcast_to(action, (len(points), len(action)))
-        least = np.minimum(least, gate.critic(points, repeated))
+        least = np.minimum(least, scored.critic(points, repeated))
     return least
 
 
@@ -76,7 +76,7 @@ def boundary_axes(
         x,
         y,
         label.reshape(CELLS, CELLS),
-        cmap=ListedColormap([SAFE, GAP, DEAD, FAIL]),
+        cmap=ListedColormap([SAFE, UNKNOWN, DEAD, FAIL]),
         vmin=-0.5,
         vmax=3.5,
         shading="nearest",
@@ -106,8 +106,8 @@ def boundary_figure(answer: ExactAnswer, filters: Mapping[str, Sequence[SafetyFi
     for axes in grid.flat[len(filters) :]:
         axes.set_axis_off()
     figure.suptitle(
-        f"{answer.task.name}{_fixed_coordinates(answer)}: dead-ends (red) and learned boundaries "
-        "(blue, one a seed)",
+        f"{answer.task.name}{_fixed_coordinates(answer)}: dead-ends (orange) and learned "
+        "boundaries (blue, one a seed)",
         fontsize=10,
     )
     return figure
@@ -128,7 +128,7 @@ def sweep_figure(task: str, scores: Sequence[SweepScore]) -> Figure:
     for axes, parameter in zip(panels, parameters, strict=True):
         rows = [score for score in scores if score.parameter == parameter]
         values = sorted({row.value for row in rows})
-        for name, color in (("dead_called_safe", "#b3362b"), ("safe_called_dead", LEARNED)):
+        for name, color in (("dead_called_safe", LET_THROUGH), ("safe_called_dead", BLOCKED)):
             mean = [
                 100 * float(np.mean([getattr(r, name) for r in rows if r.value == value]))
                 for value in values

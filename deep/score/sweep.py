@@ -15,10 +15,10 @@ import numpy as np
 
 from dead_ends.io.atomic import atomic_path
 from deep.filter.thresholds import LOW_SHARE, discount_from_horizon
-from deep.pretrain import DeaRrlAnnealedSettings
-from deep.pretrain.config import Mix, PretrainConfig
-from deep.pretrain.run import pretrain
-from deep.score.boundary import LearnedGate, box_points, critic_table, score_boundary
+from deep.pretraining import DeaRrlAnnealedSettings
+from deep.pretraining.config import Mix, PretrainConfig
+from deep.pretraining.run import pretrain_in_folder
+from deep.score.boundary import LearnedFilter, box_points, critic_table, score_boundary
 from deep.score.exact_answers import ExactAnswer, exact_answer
 from deep.score.figures import SweepScore, sweep_figure
 from deep.tasks import make_task
@@ -66,9 +66,9 @@ def sweep(config: SweepConfig, *, quiet: bool = False) -> tuple[SweepScore, ...]
     scores: list[SweepScore] = []
     for parameter, value, run in _runs(config, answer):
         folder = config.out / f"{parameter}-{value:g}".replace(" ", "-")
-        filters = pretrain(run, folder, quiet=quiet).filters
+        filters = pretrain_in_folder(run, folder, quiet=quiet).filters
         for safety in filters:
-            table = critic_table(LearnedGate(answer.task, safety), points)
+            table = critic_table(LearnedFilter(answer.task, safety), points)
             top = safety.gamma_safe**answer.horizon
             recipe = run.gamma_safe == discount_from_horizon(answer.horizon)
             for name, x, epsilon in [

@@ -65,7 +65,7 @@ class StudyConfig:
         keep: offline data are so many steps before violations (the paper: 100, with which
             every state in the data is soon lost).
         sharpness: of all safety critics' view of lidars, WCSAC's too, see
-            :class:`deep.pretrain.config.PretrainConfig`.
+            :class:`deep.pretraining.config.PretrainConfig`.
         horizon: H of the tasks, the most steps from a dead-end to the violation: a Point
             at top speed brakes to a stand in 18 steps.
         candidates: of epsilon, for the critics with gamma_safe 0.99.

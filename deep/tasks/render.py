@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from dead_ends.draw.palette import AGENT, FAIL, FLOOR, GOAL, OTHER, rgb
 from deep.tasks.shapes import Disc, inside_any
 from deep.tasks.task import Floats, Task
 
@@ -12,25 +13,20 @@ __all__ = ["draw"]
 
 LONG_SIDE = 400
 DOT = 6
-BACKGROUND = (255, 255, 255)
-OBSTACLE = (190, 70, 60)
-GOAL = (90, 160, 90)
-OTHER = (150, 150, 150)
-AGENT = (30, 60, 120)
 
 
 def draw(task: Task, state: Floats) -> NDArray[np.uint8]:
     """uint8 (height, width, 3): states (n, state dim) as dots in the first one's scene; y up."""
     points = _pixel_positions(task)
     image = np.empty((*points.shape[:2], 3), dtype=np.uint8)
-    image[:] = BACKGROUND
+    image[:] = rgb(FLOOR)
     scene = task.scene(state[0])
-    image[inside_any(scene.goals, points)] = GOAL
-    image[inside_any(scene.obstacles, points)] = OBSTACLE
-    image[inside_any(scene.others, points)] = OTHER
+    image[inside_any(scene.goals, points)] = rgb(GOAL)
+    image[inside_any(scene.obstacles, points)] = rgb(FAIL)
+    image[inside_any(scene.others, points)] = rgb(OTHER)
     radius = DOT * (task.view[1] - task.view[0]) / points.shape[1]
     dots = tuple(Disc(x, y, radius) for x, y in task.position(state))
-    image[inside_any(dots, points)] = AGENT
+    image[inside_any(dots, points)] = rgb(AGENT)
     return image
 
 

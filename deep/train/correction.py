@@ -1,6 +1,5 @@
-"""Who corrects during online training (Algorithm 2, lines 9 to 14).
-
-    a = a_task if Q_c(s, a_task) < epsilon, else the mean of pi_rec(s)
+"""Who corrects during online training (Algorithm 2, lines 9 to 14), by Equation
+(behavior_correction).
 
 All actions are in the environment's own units. What is executed is finite and within the
 bounds by the rules of :mod:`deep.filter.safety_filter`, finetuned or not.
@@ -17,22 +16,28 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from deep.data.minibatches import Batch, Batches
-from deep.data.normalisation import Ranges
-from deep.data.scaling import Scaling, columns
+from deep.data.normalisation import Ranges, TensorNormalisation, columns
 from deep.filter.safety_filter import SafetyFilter, Watch, inner_ends
-from deep.pretrain import Learner, Rrl, TaskPolicy
-from deep.pretrain.health import check_losses
-from deep.pretrain.trained_filter import extract_filter
+from deep.pretraining import Learner, Rrl, TaskPolicy
+from deep.pretraining.health import check_losses
+from deep.pretraining.trained_filter import trained_filter
 from deep.train.learner import TaskBatch
 
-__all__ = ["FinetunedGate", "FrozenGate", "Gate", "Gated", "OpenGate"]
+__all__ = [
+    "Corrected",
+    "FinetunedCorrection",
+    "FrozenCorrection",
+    "NoCorrection",
+    "TrainingCorrection",
+]
 
 Floats = NDArray[np.float32]
 
 
-class Gated(NamedTuple):
+class Corrected(NamedTuple):
     """What was made of N actions of K seeds.
 
     Attributes:
@@ -44,10 +49,24 @@ class Gated(NamedTuple):
     intervened: NDArray[np.bool_]
 
 
-class Gate(Protocol):
-    """Behavior correction for K seeds, each with its own critic."""
+def corrected_tensors(
+    proposed: Tensor, critic: Tensor, threshold: Tensor, recovery: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Equation (behavior_correction) in torch, as :func:`deep.filter.equation.corrected` has it.
 
-    def correct(self, observation: Floats, action: Floats) -> Gated:
+    Args:
+        proposed, recovery: (K, N, a), the agents' and the recovery policies' actions.
+        critic: (K, N), Q_c of what is proposed; what is a NaN is blocked.
+        threshold: (K, 1).
+    """
+    intervened = ~(critic < threshold)
+    return torch.where(intervened[..., None], recovery, proposed), intervened
+
+
+class TrainingCorrection(Protocol):
+    """Who corrects during training: K seeds, each with its own critic."""
+
+    def correct(self, observation: Floats, action: Floats) -> Corrected:
         """Correct raw actions (K, N, a) in raw observations (K, N, o)."""
 
     def learn(self, update: int, batch: TaskBatch, task_policy: TaskPolicy) -> None:
@@ -60,12 +79,12 @@ class Gate(Protocol):
         """The filters as they are now, one a seed; none where nothing is corrected."""
 
 
-class OpenGate:
+class NoCorrection:
     """No correction: SAC and WCSAC."""
 
-    def correct(self, observation: Floats, action: Floats) -> Gated:  # noqa: ARG002  (a Gate)
+    def correct(self, observation: Floats, action: Floats) -> Corrected:  # noqa: ARG002  (a TrainingCorrection)
         """The actions."""
-        return Gated(action, np.zeros(action.shape[:2], dtype=np.bool_))
+        return Corrected(action, np.zeros(action.shape[:2], dtype=np.bool_))
 
     def learn(self, update: int, batch: TaskBatch, task_policy: TaskPolicy) -> None:
         """Nothing."""
@@ -75,7 +94,7 @@ class OpenGate:
         return ()
 
 
-class FrozenGate:
+class FrozenCorrection:
     """DEA-RRL and its forms: one pretrained filter a seed.
 
     Attributes:
@@ -86,12 +105,12 @@ class FrozenGate:
         self._filters = tuple(filters)
         self.watch = Watch()
 
-    def correct(self, observation: Floats, action: Floats) -> Gated:
+    def correct(self, observation: Floats, action: Floats) -> Corrected:
         """Equation (behavior_correction) of every seed's filter."""
         done = [f.correct(s, a) for f, s, a in zip(self._filters, observation, action, strict=True)]
         for safety, seen, correction in zip(self._filters, observation, done, strict=True):
             self.watch.add(safety, seen, correction)
-        return Gated(
+        return Corrected(
             np.stack([part.executed for part in done]), np.stack([part.intervened for part in done])
         )
 
@@ -103,13 +122,13 @@ class FrozenGate:
         return self._filters
 
 
-class FinetunedGate:
+class FinetunedCorrection:
     """RRL and RRL (MSDP): the learner goes on, on half offline and half online data.
 
     Args:
         learner: pretrained; changed in place.
         thresholds: one a seed.
-        scaling: what the learner's networks see.
+        normalisation: what the learner's networks see.
         ranges: of the pretraining's data, one a seed; the action bounds are the task's.
         gamma_safe: the learner's discount of the cost.
         offline: the pretraining's data as recorded, half of the batch size at a time.
@@ -119,7 +138,7 @@ class FinetunedGate:
         self,
         learner: Learner,
         thresholds: Sequence[float],
-        scaling: Scaling,
+        normalisation: TensorNormalisation,
         ranges: Sequence[Ranges],
         gamma_safe: float,
         offline: Batches,
@@ -128,7 +147,7 @@ class FinetunedGate:
         self._gamma_safe = gamma_safe
         self._thresholds = tuple(thresholds)
         self._limits = torch.tensor(thresholds, dtype=torch.float32)[:, None]
-        self._scaling = scaling
+        self._normalisation = normalisation
         self._ranges = tuple(ranges)
         ends = [inner_ends(own.actions) for own in ranges]
         self._low, self._high = (
@@ -137,20 +156,20 @@ class FinetunedGate:
         self._offline = offline
 
     @torch.no_grad()
-    def correct(self, observation: Floats, action: Floats) -> Gated:
+    def correct(self, observation: Floats, action: Floats) -> Corrected:
         """Equation (behavior_correction) with the critic of the moment."""
         raw, proposed = torch.from_numpy(observation), torch.from_numpy(action)
-        s = self._scaling.observation(raw)
+        s = self._normalisation.observation(raw)
         seen = raw.isfinite() & s.isfinite()
         s = torch.where(seen, s, 0.0)
         a = proposed.clamp(self._low, self._high)
-        logits = self.learner.critic.logits(s, self._scaling.action(a))
+        logits = self.learner.critic.logits(s, self._normalisation.action(a))
         known = seen.all(dim=-1) & proposed.isfinite().all(dim=-1) & logits.isfinite().all(dim=1)
-        critic = torch.sigmoid(logits.amax(dim=1))
-        intervened = ~(known & (critic < self._limits))
+        critic = torch.where(known, torch.sigmoid(logits.amax(dim=1)), 1.0)
         unit = self.learner.recovery.mean_action(s).nan_to_num(nan=0.0)
-        recovery = self._scaling.raw_action(unit).clamp(self._low, self._high)
-        return Gated(torch.where(intervened[..., None], recovery, a).numpy(), intervened.numpy())
+        recovery = self._normalisation.raw_action(unit).clamp(self._low, self._high)
+        executed, intervened = corrected_tensors(a, critic, self._limits, recovery)
+        return Corrected(executed.numpy(), intervened.numpy())
 
     def learn(self, update: int, batch: TaskBatch, task_policy: TaskPolicy) -> None:
         """One update of critic and recovery policy; RRL's critic is that of ``task_policy``.
@@ -159,17 +178,17 @@ class FinetunedGate:
             FloatingPointError: if a loss is not a number.
         """
         raw = _joined(self._offline.get(update), batch)
-        scaling = self._scaling
+        normalisation = self._normalisation
         if isinstance(self.learner, Rrl):
             # RRL asks in its own coordinates; the task policy has others.
-            self.learner.task_policy = lambda _, noise: scaling.action(
+            self.learner.task_policy = lambda _, noise: normalisation.action(
                 task_policy(raw.next_observation, noise)
             )
         losses = self.learner.update(
             raw._replace(
-                observation=scaling.observation(raw.observation),
-                next_observation=scaling.observation(raw.next_observation),
-                action=scaling.action(raw.action),
+                observation=normalisation.observation(raw.observation),
+                next_observation=normalisation.observation(raw.next_observation),
+                action=normalisation.action(raw.action),
             ),
             0.0,
         )
@@ -181,11 +200,11 @@ class FinetunedGate:
     def filters(self) -> tuple[SafetyFilter, ...]:
         """Copies of the networks of the moment."""
         return tuple(
-            extract_filter(self.learner, seed, threshold, self._gamma_safe, normalisation, ranges)
+            trained_filter(self.learner, seed, threshold, self._gamma_safe, normalisation, ranges)
             for seed, threshold, normalisation, ranges in zip(
                 self.learner.seeds,
                 self._thresholds,
-                self._scaling.normalisation,
+                self._normalisation.of_seeds,
                 self._ranges,
                 strict=True,
             )

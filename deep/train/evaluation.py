@@ -77,22 +77,22 @@ def evaluate_policies(
     trained = [
         TrainedPolicy.load(policies / "policies" / f"seed{seed}.safetensors") for seed in numbers
     ]
-    gates = [] if safety is None else _filters(safety, numbers, threshold)
+    filters = [] if safety is None else _filters(safety, numbers, threshold)
     sizes, bounds = task_spaces(where, rules)
-    for folder, kind, made in ((policies, "policies", trained), (safety, "filters", gates)):
+    for folder, kind, made in ((policies, "policies", trained), (safety, "filters", filters)):
         for one in made:
             n = one.normalisation
             found = Sizes(len(n.observation_centre), len(n.action_centre))
             check_fit(f"{folder}: its {kind} take", found, where, sizes)
     for policy in trained:
         check_units(f"{policies}: its policies choose", policy.normalisation, where, bounds)
-    gates = [gate.for_actions(bounds, where) for gate in gates]
-    thresholds: list[float | None] = [gate.threshold for gate in gates]
+    filters = [safety.for_actions(bounds, where) for safety in filters]
+    thresholds: list[float | None] = [safety.threshold for safety in filters]
     seeds = [
         SeedResult.of(seed, found, threshold=epsilon)
         for seed, found, epsilon in zip(
             numbers,
-            evaluate(where, trained, gates, episodes, rules=rules),
+            evaluate(where, trained, filters, episodes, rules=rules),
             thresholds or [None] * len(numbers),
             strict=True,
         )
@@ -102,7 +102,7 @@ def evaluate_policies(
     write_result(
         out,
         where,
-        "+".join([method, *sorted({gate.method for gate in gates})]),
+        "+".join([method, *sorted({safety.method for safety in filters})]),
         replace(spent, wall_seconds=seconds, evaluation_episodes=episodes),
         seeds,
         policies=str(policies),
@@ -113,4 +113,4 @@ def evaluate_policies(
 
 def _filters(safety: Path, seeds: Sequence[int], threshold: float | None) -> list[SafetyFilter]:
     loaded = load_filters(safety, seeds)
-    return loaded if threshold is None else [gate.with_threshold(threshold) for gate in loaded]
+    return loaded if threshold is None else [safety.with_threshold(threshold) for safety in loaded]

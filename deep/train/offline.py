@@ -41,6 +41,7 @@ from deep.tasks.bounds import Bounds
 from deep.tasks.gym import NO_RULES, Rules
 from deep.tasks.task import Sizes
 from deep.tasks.vectorised import GYM, check_fit, task_spaces
+from deep.tasks.violation import check_rule
 from deep.train.iql import Iql, IqlSettings
 from deep.train.learner import TaskBatch, TaskLosses
 from deep.train.result import (
@@ -70,7 +71,10 @@ class OfflineConfig:
     Attributes:
         task: where the policies are evaluated, as in training online ("real:", "gym:").
         data: an HDF5 file of transitions.
-        rules: what an environment of "gym:" leaves open; ``violation`` is of the data too.
+        rules: what an environment of "gym:" leaves open; ``violation`` is of the data too, if
+            nothing else is said of them.
+        data_violation: which of the file's costs are a violation, where that is another question
+            than the environment's, which may report none.
         cut: end the file's episodes at every violation, see
             :func:`deep.data.transitions.cut_at_violation`.
         method: the learner's settings.
@@ -86,6 +90,7 @@ class OfflineConfig:
     task: str
     data: Path
     rules: Annotated[Rules, tyro.conf.arg(name="")] = NO_RULES
+    data_violation: str | None = None
     cut: bool = False
     method: IqlSettings = field(default_factory=IqlSettings)
     seeds: tuple[int, ...] = (0,)
@@ -101,6 +106,12 @@ class OfflineConfig:
         for name in ("updates", "episodes", *rhythms):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}")
+        check_rule(self.data_violation)
+
+    @property
+    def violation_in_data(self) -> str | None:
+        """Which of the file's costs are a violation; None: they are 0 or 1."""
+        return self.rules.violation if self.data_violation is None else self.data_violation
 
     @property
     def environment_rules(self) -> Rules:
@@ -110,7 +121,8 @@ class OfflineConfig:
     def to_json(self) -> dict[str, Any]:
         """Plain values; the method by its name and settings, rules only where there are some."""
         plain = asdict(self)
-        for name, default in (("rules", asdict(NO_RULES)), ("cut", False)):
+        defaults = (("rules", asdict(NO_RULES)), ("cut", False), ("data_violation", None))
+        for name, default in defaults:
             if plain[name] == default:
                 del plain[name]
         plain["data"] = str(self.data)
@@ -161,7 +173,7 @@ class _Run:
         self.config = config
         self.folder = folder
         sizes, bounds = task_spaces(config.task, config.environment_rules)
-        data = read_hdf5(config.data, cut=config.cut, violation=config.rules.violation)
+        data = read_hdf5(config.data, cut=config.cut, violation=config.violation_in_data)
         _check_fit(config, data, sizes, bounds)
         seen = normalisation_of_observations(data.observations, sizes.action)
         self.normalisation = with_action_bounds(seen, bounds)

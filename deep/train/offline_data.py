@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from deep.data.collect import check_shares, collect, kept, random_policy
 from deep.data.transitions import Transitions, concatenate, keep_before_violation
 from deep.filter.task_policy import TrainedPolicy, check_units
-from deep.pretrain.config import Mix
+from deep.pretraining.config import Mix
 from deep.runs.folder import read_object
 from deep.tasks import make_task
 from deep.tasks.gym import Rules
@@ -117,7 +117,7 @@ def _random_transitions(
 def collect_in_environments(
     task: str, mix: Mix, rules: Rules, rng: np.random.Generator
 ) -> Transitions:
-    """As :meth:`deep.pretrain.config.Mix.collect`, for a "real:" or "gym:" environment.
+    """As :meth:`deep.pretraining.config.Mix.collect`, for a "real:" or "gym:" environment.
 
     Raises:
         ValueError: if the mixture wants what only tasks know, its shares do not sum to 1, or too

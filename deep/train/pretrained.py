@@ -1,4 +1,4 @@
-"""From a pretraining run's folder to the gate of an online run."""
+"""From a pretraining run's folder to the correction of an online run."""
 
 from __future__ import annotations
 
@@ -8,24 +8,28 @@ from pathlib import Path
 import torch
 
 from deep.data.minibatches import Batches
-from deep.data.normalisation import Ranges
-from deep.data.scaling import Scaling
+from deep.data.normalisation import Ranges, TensorNormalisation
 from deep.filter.safety_filter import SafetyFilter
-from deep.pretrain import Learner, RrlMsdpSettings, RrlSettings, build_learner
-from deep.pretrain.config import PretrainConfig
-from deep.pretrain.run import load_raw, read_run
+from deep.pretraining import Learner, RrlMsdpSettings, RrlSettings, build_learner
+from deep.pretraining.config import PretrainConfig
+from deep.pretraining.run import load_raw, read_run
 from deep.runs.checkpoint import load_checkpoint
 from deep.tasks.bounds import Bounds
 from deep.tasks.task import Sizes
 from deep.tasks.vectorised import check_fit
 from deep.train.config import TrainConfig
-from deep.train.correction import FinetunedGate, FrozenGate, Gate, OpenGate
+from deep.train.correction import (
+    FinetunedCorrection,
+    FrozenCorrection,
+    NoCorrection,
+    TrainingCorrection,
+)
 
-__all__ = ["build_gate", "load_filters"]
+__all__ = ["build_correction", "load_filters"]
 
 
-def build_gate(config: TrainConfig, sizes: Sizes, actions: Bounds) -> Gate:
-    """The gate that the configuration asks for; an open one without a pretraining run.
+def build_correction(config: TrainConfig, sizes: Sizes, actions: Bounds) -> TrainingCorrection:
+    """The correction that the configuration asks for; none without a pretraining run.
 
     ``sizes`` and ``actions``, the action bounds, are the task's.
 
@@ -33,7 +37,7 @@ def build_gate(config: TrainConfig, sizes: Sizes, actions: Bounds) -> Gate:
         ValueError: if the pretraining run is missing, unfinished, or does not fit the task.
     """
     if config.safety is None:
-        return OpenGate()
+        return NoCorrection()
     pretrained = read_run(config.safety)
     seeds = config.safety_seeds or config.seeds
     filters = _filters(config, pretrained, seeds)
@@ -45,7 +49,7 @@ def build_gate(config: TrainConfig, sizes: Sizes, actions: Bounds) -> Gate:
     if finetune is None:
         finetune = isinstance(pretrained.method, RrlSettings | RrlMsdpSettings)
     if not finetune:
-        return FrozenGate(filters)
+        return FrozenCorrection(filters)
     learner = _learner(config.safety, pretrained, sizes, config.seeds, seeds)
     thresholds = [safety.threshold for safety in filters]
     data, _ = load_raw(pretrained)
@@ -58,9 +62,11 @@ def build_gate(config: TrainConfig, sizes: Sizes, actions: Bounds) -> Gate:
         pretrained.method.violation_share,
         torch.device("cpu"),
     )
-    scaling = Scaling([safety.normalisation for safety in filters])
+    normalisation = TensorNormalisation([safety.normalisation for safety in filters])
     ranges = [Ranges(safety.actions, safety.observations) for safety in filters]
-    return FinetunedGate(learner, thresholds, scaling, ranges, filters[0].gamma_safe, offline)
+    return FinetunedCorrection(
+        learner, thresholds, normalisation, ranges, filters[0].gamma_safe, offline
+    )
 
 
 def _filters(

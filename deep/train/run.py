@@ -26,11 +26,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from deep.data.normalisation import Normalisation, with_action_bounds
-from deep.data.scaling import Scaling
+from deep.data.normalisation import Normalisation, TensorNormalisation, with_action_bounds
 from deep.filter.task_policy import TrainedPolicy
-from deep.pretrain import Learner, form_of
-from deep.pretrain.run import read_run
+from deep.pretraining import Learner, form_of
+from deep.pretraining.run import read_run
 from deep.runs.checkpoint import load_checkpoint, save_checkpoint
 from deep.runs.folder import CsvLog, InterruptAfterUpdate, check_folder, only_process, open_folder
 from deep.tasks.task import Sizes
@@ -41,11 +40,11 @@ from deep.train.config import (
     task_method_name,
     train_config_to_json,
 )
-from deep.train.correction import FinetunedGate
+from deep.train.correction import FinetunedCorrection
 from deep.train.counts import Counts
 from deep.train.learner import TaskLearner, TaskLosses
 from deep.train.noise import ActionNoise
-from deep.train.pretrained import build_gate
+from deep.train.pretrained import build_correction
 from deep.train.replay import Arrival, Replay
 from deep.train.result import (
     EPISODES_KEPT_APART,
@@ -121,12 +120,13 @@ class _Run:
         # Actions are kept in the environment's units; the learner's fill [-1, 1].
         self.bounds = self.fleet.action_bounds
         identity = with_action_bounds(Normalisation.identity(*sizes), self.bounds)
-        self.units = Scaling([identity] * len(config.seeds))
-        self.gate = build_gate(config, sizes, self.bounds)
-        self.scaling: Scaling | None = None  # of the task policy; known after the start phase
+        self.units = TensorNormalisation([identity] * len(config.seeds))
+        self.correction = build_correction(config, sizes, self.bounds)
+        # Of the task policy; known after the start phase.
+        self.normalisation: TensorNormalisation | None = None
         learners: list[TaskLearner | Learner] = [self.learner]
-        if isinstance(self.gate, FinetunedGate):
-            learners.append(self.gate.learner)
+        if isinstance(self.correction, FinetunedCorrection):
+            learners.append(self.correction.learner)
         self.state = _State(learners)
         open_folder(folder, train_config_to_json(config))  # only now: everything fits
         checkpoint, replay = folder / "checkpoint.safetensors", folder / "replay.bin"
@@ -169,7 +169,7 @@ class _Run:
                 done = self.step * config.copies
                 if done % config.log_every == 0 or self.step == total:
                     self._log(done, losses)
-                if done % config.evaluate_every == 0 and self.scaling:
+                if done % config.evaluate_every == 0 and self.normalisation:
                     self._checked(done, latest)
                     self._log_evaluation(done)
                 if done % config.checkpoint_every == 0 or stop or self.step == total:
@@ -184,7 +184,7 @@ class _Run:
         noise, uniform = self.actions.draw(self.step)
         begun = self.step * config.copies < config.start_steps
         action = self._start(uniform) if begun else self._propose(noise)
-        executed, intervened = self.gate.correct(self.observation, action)
+        executed, intervened = self.correction.correct(self.observation, action)
         arrived = self.fleet.step(executed)
         self.replay.add(
             self.step,
@@ -197,9 +197,11 @@ class _Run:
         self.counts.add(arrived, intervened)
         self.step += 1
         steps = self.step * config.copies
-        if self.scaling is None and steps >= config.start_steps:
+        if self.normalisation is None and steps >= config.start_steps:
             seen = self.replay.normalisation(self.step)
-            self.scaling = Scaling([with_action_bounds(n, self.bounds) for n in seen])
+            self.normalisation = TensorNormalisation(
+                [with_action_bounds(n, self.bounds) for n in seen]
+            )
             self.learner.look(partial(self.replay.normalisation, self.step))
         due = max(0, steps - config.start_steps) // config.steps_per_update
         losses = None
@@ -217,24 +219,24 @@ class _Run:
 
     def _act(self, observation: Tensor, noise: Tensor) -> Tensor:
         """The task policy's actions, in the environment's units, in raw observations (K, B, o)."""
-        assert self.scaling is not None
-        action, _ = self.learner.policy.sample(self.scaling.observation(observation), noise)
-        return self.scaling.raw_action(action)
+        assert self.normalisation is not None
+        action, _ = self.learner.policy.sample(self.normalisation.observation(observation), noise)
+        return self.normalisation.raw_action(action)
 
     def _update(self) -> TaskLosses:
-        assert self.scaling is not None
+        assert self.normalisation is not None
         config = self.config
         raw = self.replay.sample(self.updates, self.step, config.method.batch_size)
         self.learner.slow_down(self.step * config.copies / config.steps)
         losses = self.learner.update(
             raw._replace(
-                observation=self.scaling.observation(raw.observation),
-                next_observation=self.scaling.observation(raw.next_observation),
-                action=self.scaling.action(raw.action),
-                executed=self.scaling.action(raw.executed),
+                observation=self.normalisation.observation(raw.observation),
+                next_observation=self.normalisation.observation(raw.next_observation),
+                action=self.normalisation.action(raw.action),
+                executed=self.normalisation.action(raw.executed),
             )
         )
-        self.gate.learn(self.updates, raw, self._act)
+        self.correction.learn(self.updates, raw, self._act)
         self.updates += 1
         return losses
 
@@ -256,20 +258,20 @@ class _Run:
     def _log_evaluation(self, done: int) -> None:
         config = self.config
         found = evaluate(
-            config.task, self.policies(), self.gate.filters(), config.evaluation_episodes,
+            config.task, self.policies(), self.correction.filters(), config.evaluation_episodes,
             EPISODES_KEPT_APART, config.rules,
         )  # fmt: skip
         self.evaluations.write(evaluation_rows(done, config.seeds, found))
 
     def policies(self) -> tuple[TrainedPolicy, ...]:
         """Every seed's task policy of the moment."""
-        assert self.scaling is not None
-        return task_policies(self.learner, self.scaling.normalisation, self.method)
+        assert self.normalisation is not None
+        return task_policies(self.learner, self.normalisation.of_seeds, self.method)
 
     def finish(self) -> None:
         """Evaluate, write policies and filters, say what came out, forget the replay buffer."""
         config, counts = self.config, self.counts
-        policies, filters = self.policies(), self.gate.filters()
+        policies, filters = self.policies(), self.correction.filters()
         found = evaluate(config.task, policies, filters, config.episodes, rules=config.rules)
         save_all(self.folder / "policies", config.seeds, policies)
         save_all(self.folder / "filters", config.seeds, filters)
@@ -294,7 +296,8 @@ class _Run:
         rest = {
             "step": self.step,
             "counts": self.counts.to_json(),
-            "normalisation": self.scaling and [asdict(n) for n in self.scaling.normalisation],
+            "normalisation": self.normalisation
+            and [asdict(n) for n in self.normalisation.of_seeds],
             "environments": self.fleet.snapshot(),
             "actions": asdict(self.bounds),
         }
@@ -313,7 +316,9 @@ class _Run:
         self.step = rest["step"]
         self.counts = Counts.from_json(rest["counts"])
         if rest["normalisation"]:
-            self.scaling = Scaling([Normalisation.from_json(n) for n in rest["normalisation"]])
+            self.normalisation = TensorNormalisation(
+                [Normalisation.from_json(n) for n in rest["normalisation"]]
+            )
         if rest["environments"] is None:
             self.counts.running_return[:] = self.counts.running_length[:] = 0
             self.replay.cut(self.step)

@@ -36,8 +36,7 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from deep.data.normalisation import Normalisation
-from deep.data.scaling import columns
+from deep.data.normalisation import Normalisation, columns
 from deep.nn.losses import q_loss, q_target
 from deep.nn.networks import ActionValue, GaussianPolicy, adam, copy_slowly, minimise
 from deep.tasks.task import Sizes
@@ -76,7 +75,7 @@ class WcsacSettings(SacSettings):
         cost_limit: d, one for all seeds or one each.
         sharpness: the cost critic sees coordinates in [0, 1], such as lidars' closenesses,
             to this power, as the safety critics of Algorithm 1 can
-            (:class:`deep.pretrain.config.PretrainConfig`).
+            (:class:`deep.pretraining.config.PretrainConfig`).
         multiplier_rate: Adam's learning rate of lambda, which weighs CVaR against scaled
             rewards and begins at 0; it slides like the others.
     """

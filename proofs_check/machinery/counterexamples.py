@@ -18,6 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch
 
 from dead_ends.draw.geometry import COLORS
+from dead_ends.draw.palette import LINES
 from dead_ends.io.atomic import atomic_path
 from dead_ends.io.npz import save_npz
 from dead_ends.labels.labelling import Label
@@ -30,9 +31,9 @@ ROOT = Path(__file__).parents[1]
 MODELS = ROOT / "counterexamples"
 FIGURES = ROOT.parent / "figures"
 ACTION_STYLES: tuple[tuple[str, Literal["-", "--", ":"]], ...] = (
-    ("#0072B2", "-"),
-    ("#882255", "--"),
-    ("#117733", ":"),
+    (LINES[2], "-"),
+    (LINES[3], "--"),
+    (LINES[4], ":"),
 )
 RADIUS = 0.2
 
@@ -72,9 +73,9 @@ def size(case: Case) -> tuple[int, int]:
 
 def _moves(model: SafeMDP) -> int:
     """The number of pairs s -> s' with s' != s."""
-    kernel = model.transitions()
-    sources = np.repeat(np.arange(kernel.shape[0]), np.diff(kernel.indptr)) // model.num_actions
-    return len({(int(s), int(t)) for s, t in zip(sources, kernel.indices, strict=True) if s != t})
+    matrix = model.transitions()
+    sources = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr)) // model.num_actions
+    return len({(int(s), int(t)) for s, t in zip(sources, matrix.indices, strict=True) if s != t})
 
 
 def named(case: Case) -> SafeMDP:
@@ -105,8 +106,8 @@ def named(case: Case) -> SafeMDP:
 
 def digest(model: SafeMDP) -> str:
     """A name of the model's transitions, written into its picture."""
-    kernel = model.transitions()
-    text = f"{kernel.indptr.tolist()} {kernel.indices.tolist()} {model.exact_probabilities()}"
+    matrix = model.transitions()
+    text = f"{matrix.indptr.tolist()} {matrix.indices.tolist()} {model.exact_probabilities()}"
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -121,7 +122,7 @@ def save(row: Row, case: Case) -> None:
     MODELS.mkdir(exist_ok=True)
     FIGURES.mkdir(exist_ok=True)
     model = named(case)
-    save_npz(model_path, model)
+    save_npz(model, model_path)
     with atomic_path(figure_path) as temporary:
         draw(row, case).savefig(temporary, dpi=110, metadata={"Model": digest(model)})
 
@@ -187,13 +188,13 @@ def _positions(case: Case) -> list[tuple[float, float]]:
 
 def _edges(model: SafeMDP) -> list[tuple[int, int, int, str]]:
     """(state, action, successor, probability unless 1)."""
-    kernel, data = model.transitions(), model.exact_probabilities()
+    matrix, data = model.transitions(), model.exact_probabilities()
     edges = []
-    for row in range(kernel.shape[0]):
-        for i in range(int(kernel.indptr[row]), int(kernel.indptr[row + 1])):
+    for row in range(matrix.shape[0]):
+        for i in range(int(matrix.indptr[row]), int(matrix.indptr[row + 1])):
             label = "" if data[i] == 1 else str(data[i])
             edges.append(
-                (row // model.num_actions, row % model.num_actions, int(kernel.indices[i]), label)
+                (row // model.num_actions, row % model.num_actions, int(matrix.indices[i]), label)
             )
     return edges
 
@@ -208,7 +209,7 @@ def _draw_state(axes: Any, model: SafeMDP, case: Case, state: int, x: float, y: 
         if case.failing[state] > 0
         else Label.SAFE
     )
-    axes.add_patch(Circle((x, y), RADIUS, facecolor=COLORS[label], edgecolor="#333333", zorder=3))
+    axes.add_patch(Circle((x, y), RADIUS, facecolor=COLORS[label], edgecolor="0.2", zorder=3))
     assert model.state_names is not None
     kind, _, rest = model.state_names[state].partition(" ")
     color = "white" if label is Label.FAIL else "black"

@@ -18,6 +18,7 @@ from dead_ends.labels.classification import classify
 from dead_ends.labels.labelling import INFINITE, Label, Labelling
 from dead_ends.model.safe_mdp import SafeMDP
 from dead_ends.safety.correction import behavior_correction, corrected_model
+from dead_ends.safety.critics import unguarded
 from dead_ends.safety.policies import Reading, allowed_actions, greedy_actions, in_policy_set
 from dead_ends.safety.thresholds import ThresholdInterval, threshold_interval
 from dead_ends.values.bellman import evaluate_policy, value_iteration
@@ -86,7 +87,7 @@ def _expectile(model: SafeMDP, data: Table, tau: Fraction, gamma: Discount) -> T
 def _member(
     policy: Table, Q: Table, epsilon: Discount, safe: NDArray[np.bool_], reading: Reading
 ) -> bool:
-    return in_policy_set(policy, Q, epsilon, safe=safe, reading=reading)
+    return in_policy_set(policy, unguarded(Q), epsilon, safe=safe, reading=reading)
 
 
 def _swept(model: SafeMDP, count: int) -> Table:
@@ -109,12 +110,12 @@ LIBRARY = Implementation(
     expectile=_expectile,
     recovery_critic=lambda trained, gate: trained,  # noqa: ARG005  # named as in the attribute
     threshold=lambda gamma, exponent: gamma**exponent,
-    allowed=allowed_actions,
+    allowed=lambda Q, epsilon: allowed_actions(unguarded(Q), epsilon),
     greedy=greedy_actions,
     member=_member,
     interval=threshold_interval,
-    correct=behavior_correction,
-    corrected=corrected_model,
+    correct=lambda policy, Q, *rest: behavior_correction(policy, unguarded(Q), *rest),
+    corrected=lambda model, Q, *rest: corrected_model(model, unguarded(Q), *rest),
     swept=_swept,
 )
 

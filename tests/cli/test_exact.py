@@ -42,7 +42,7 @@ def long_corridor(horizon: int) -> SafeMDP:
 
 
 def test_a_slow_chain_has_an_answer(capsys: pytest.CaptureFixture[str]) -> None:
-    save_model("chain.npz", slow_chain(20))
+    save_model(slow_chain(20), "chain.npz")
     export = ["export", "chain.npz", "--gamma-safe", "1", "--epsilon-safe", "0.4", "--out", "f.npz"]
     assert main(export) == 2
     err = capsys.readouterr().err
@@ -53,12 +53,12 @@ def test_a_slow_chain_has_an_answer(capsys: pytest.CaptureFixture[str]) -> None:
     assert np.flatnonzero(table.allowed[:, 0]).tolist() == [38, 39, 40]
     assert table.metadata["exact"] is True
     capsys.readouterr()
-    save_model("longer.npz", slow_chain(30))
+    save_model(slow_chain(30), "longer.npz")
     assert main(["explain", "longer.npz", "30"]) == 2
     assert capsys.readouterr().err.endswith("]: use --exact\n")
     assert main(["explain", "longer.npz", "30", "--exact"]) == 0
     assert "fails with probability 0.5, " in capsys.readouterr().out
-    assert main(["verify", "longer.npz"]) == 0
+    assert main(["statements", "longer.npz"]) == 0
 
 
 def test_labels_are_told_even_if_the_threshold_is_not(
@@ -70,7 +70,7 @@ def test_labels_are_told_even_if_the_threshold_is_not(
     kernel[:41, :, :41] = chain.transitions().toarray()[:, None]
     kernel[41, 0, 41] = kernel[41, 1, 20] = 1
     ends = np.arange(42)
-    save_model("entered.npz", SafeMDP.stochastic(kernel, ends == 0, terminal=ends == 40))
+    save_model(SafeMDP.stochastic(kernel, ends == 0, terminal=ends == 40), "entered.npz")
     label = ["label", "entered.npz", "--gamma-safe", "1"]
     assert main([*label, "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
@@ -83,7 +83,7 @@ def test_labels_are_told_even_if_the_threshold_is_not(
 
 @pytest.mark.parametrize("exact", [[], ["--exact"]])
 def test_no_false_equality_is_printed(capsys: pytest.CaptureFixture[str], exact: list[str]) -> None:
-    save_model("long.npz", long_corridor(1200))
+    save_model(long_corridor(1200), "long.npz")
     label = ["label", "long.npz", "--gamma-safe", "0.5", *exact]
     assert main(label) == 0
     text = "0 < epsilon_safe <= gamma_safe**1200, about 5.80771e-362, which is smaller than every "
@@ -92,9 +92,9 @@ def test_no_false_equality_is_printed(capsys: pytest.CaptureFixture[str], exact:
     threshold = json.loads(capsys.readouterr().out)["threshold"]
     assert (threshold["at_most"], threshold["recommended"]) == (None, None)
     assert threshold["exponent"] == 1200
-    assert main(["verify", "long.npz", "--gamma-safe", "0.5"]) == 2
+    assert main(["statements", "long.npz", "--gamma-safe", "0.5"]) == 2
     assert capsys.readouterr().err.endswith("which is smaller than every float: use --exact\n")
-    assert main(["verify", "long.npz", "--gamma-safe", "0.5", "--exact"]) == 0
+    assert main(["statements", "long.npz", "--gamma-safe", "0.5", "--exact"]) == 0
     out = capsys.readouterr().out
     assert "holds  Theorem 2" in out
     assert "gamma_safe^(H-1) is about 1.16154e-361" in out
@@ -102,7 +102,7 @@ def test_no_false_equality_is_printed(capsys: pytest.CaptureFixture[str], exact:
 
 
 def test_exactly_decimals_are_what_is_written(capsys: pytest.CaptureFixture[str]) -> None:
-    save_model("corridor.npz", long_corridor(2))
+    save_model(long_corridor(2), "corridor.npz")
     assert main(["label", "corridor.npz", "--gamma-safe", "0.9", "--exact"]) == 0
     assert "gamma_safe**2 = 81/100, for example" in capsys.readouterr().out
     assert main(["label", "FrozenLake-v1", "--exact"]) == 2
@@ -115,18 +115,18 @@ def test_exactly_decimals_are_what_is_written(capsys: pytest.CaptureFixture[str]
 
 def test_an_estimate_is_called_one(capsys: pytest.CaptureFixture[str]) -> None:
     log = [(0, 0, 0), (0, 1, 1), (0, 1, 0)]
-    save_model("log.npz", estimate_model(2, 2, log, np.array([False, True]), initial=[0]))
+    save_model(estimate_model(2, 2, log, np.array([False, True]), initial=[0]), "log.npz")
     assert main(["label", "log.npz", "--out", "labels.json"]) == 0
     assert "an estimate from a log: its labels are no guarantee" in capsys.readouterr().out
     assert json.loads(Path("labels.json").read_text())["summary"]["estimate"] is True
     assert main(["explain", "log.npz", "0"]) == 0
     assert "This is said of an estimate from a log" in capsys.readouterr().out
-    assert main(["verify", "log.npz"]) == 0
+    assert main(["statements", "log.npz"]) == 0
     assert "SafeMDP(stochastic, an estimate, " in capsys.readouterr().out
     assert main(["export", "log.npz", "--out", "filter.json"]) == 0
     assert "the filter is of an estimate from a log" in capsys.readouterr().err
     assert load_filter("filter.json").metadata["estimate"] is True
-    assert main(["report", "log.npz", "--out", "page.html"]) == 0
+    assert main(["page", "log.npz", "--out", "page.html"]) == 0
     assert '"estimate":true' in Path("page.html").read_text()
     capsys.readouterr()
     assert main(["certify", "log.npz", "--out", "c.json"]) == 2
@@ -160,7 +160,7 @@ def crossing(initial: list[int] | None, goal: bool = True) -> SafeMDP:
 def test_a_filter_that_cuts_starts_off_from_the_goal(
     capsys: pytest.CaptureFixture[str], model: SafeMDP, said: str
 ) -> None:
-    save_model("crossing.npz", model)
+    save_model(model, "crossing.npz")
     assert main(["export", "crossing.npz", "--out", "filter.npz"]) == 0
     assert capsys.readouterr().err == (f"dead-ends: {said}\n" if said else "")
     assert main(["export", "crossing.npz", "--epsilon-safe", "0.2", "--out", "filter.npz"]) == 0

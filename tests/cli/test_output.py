@@ -11,7 +11,7 @@ from dead_ends.__main__ import main
 from dead_ends.io import load_model, save_model
 from dead_ends.model.safe_mdp import SafeMDP
 
-WRITING = ("label", "certify", "convert", "export", "report")
+WRITING = ("label", "certify", "convert", "export", "page")
 
 
 @pytest.fixture(autouse=True)
@@ -20,7 +20,7 @@ def _files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     model = SafeMDP.deterministic([[0, 1], [1, 1]], [False, True], state_names=["a", "b"])
     for suffix in ("npz", "tra"):
-        save_model(f"model.{suffix}", model)
+        save_model(model, f"model.{suffix}")
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -41,7 +41,7 @@ def test_the_input_is_not_overwritten(
     Path("link.npz").symlink_to("model.npz")
     Path("hard.npz").hardlink_to("model.npz")
     before = Path("model.npz").read_bytes()
-    if command == "report":
+    if command == "page":
         Path("model.npz").rename("model.html")
         Path("link.npz").unlink()
         Path("model.npz").symlink_to("model.html")
@@ -84,5 +84,5 @@ def test_what_lies_beside_an_explicit_model_is_input_and_output_too(
 def test_a_policy_is_not_overwritten(capsys: pytest.CaptureFixture[str]) -> None:
     np.save("policy.npy", [0, 0])
     Path("policy.npy").rename("policy.html")
-    err = refused(capsys, "report", "model.npz", "--policy", "policy.html", "--out", "policy.html")
+    err = refused(capsys, "page", "model.npz", "--policy", "policy.html", "--out", "policy.html")
     assert "is read as input (policy.html)" in err

@@ -11,7 +11,7 @@ import pytest
 from matplotlib import pyplot
 from PIL import Image
 
-from dead_ends import visualize
+from dead_ends.cli import visualize
 from dead_ends.visualize import main
 
 SMALL_BRAKE = ["brake", "--distance", "60", "--speed", "10"]

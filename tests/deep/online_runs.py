@@ -11,9 +11,9 @@ import numpy as np
 
 from deep.data.transitions import Transitions
 from deep.filter.safety_filter import SafetyFilter
-from deep.pretrain import Settings
-from deep.pretrain.config import Mix, PretrainConfig
-from deep.pretrain.run import open_run, pretrain
+from deep.pretraining import Settings
+from deep.pretraining.config import Mix, PretrainConfig
+from deep.pretraining.run import open_run, pretrain_in_folder
 from deep.train.config import TrainConfig
 from deep.train.sac import SacSettings
 from tests.deep.filters import linear_filter
@@ -63,7 +63,7 @@ def pretrained(folder: Path, method: Settings) -> Path:
     config = PretrainConfig(
         task="brake", method=method, seeds=SEEDS, updates=20, mix=Mix(transitions=300)
     )
-    pretrain(config, folder, quiet=True)
+    pretrain_in_folder(config, folder, quiet=True)
     return folder
 
 

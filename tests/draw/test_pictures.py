@@ -7,11 +7,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dead_ends import Geometry, SafeMDP, classify
-from dead_ends.draw.animation import Run, animate_runs
+from dead_ends import SafeMDP, classify
+from dead_ends.draw.animation import Episode, animate_episodes
 from dead_ends.draw.pictures import Blocked, Boundary, plot_boundaries, plot_map
 from dead_ends.envs.brake import BrakeLattice, brake
 from dead_ends.labels.labelling import Label
+from dead_ends.model.safe_mdp import Geometry
 
 
 def row_of_cells(cells: list[tuple[int, int]] | None = None) -> SafeMDP:
@@ -128,9 +129,9 @@ def test_blocked_shares_are_drawn_in_percent() -> None:
 
 def test_an_animation_has_a_frame_a_step_and_only_the_agent_moves() -> None:
     model = row_of_cells()
-    alone = Run("alone", np.array([0, 1, 2]), np.array([False, False]))
-    waits = Run("corrected", np.array([0, 0]), np.array([True]))
-    frames = [np.array(frame) for frame in animate_runs(model, classify(model), [alone, waits])]
+    alone = Episode("alone", np.array([0, 1, 2]), np.array([False, False]))
+    waits = Episode("corrected", np.array([0, 0]), np.array([True]))
+    frames = [np.array(frame) for frame in animate_episodes(model, classify(model), [alone, waits])]
     assert len(frames) == 3
     half = frames[0].shape[1] // 2
     left = [frame[:, :half] for frame in frames]

@@ -176,7 +176,7 @@ def test_what_we_write_is_read_by_storm_and_by_us(
         state_names=states,
     )
     path.unlink(missing_ok=True)
-    _, refusal = attempt(lambda: save_drn(path, model))
+    _, refusal = attempt(lambda: save_drn(model, path))
     if refusal:
         lost = [n for n in actions if not n or set(n) & set(BLANKS)]
         lost += [n for n in states if "\r" in n or "\t& " in n]

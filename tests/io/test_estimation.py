@@ -154,13 +154,13 @@ def test_twenty_samples_a_pair_promise_nothing() -> None:
 
 def test_the_mark_survives(tmp_path: Path) -> None:
     estimate = estimate_model(4, 2, DATA, FAIL, initial=[0])
-    save_model(tmp_path / "model.npz", estimate)
+    save_model(estimate, tmp_path / "model.npz")
     assert load_model(tmp_path / "model.npz").estimate
     assert from_networkx(to_networkx(estimate)).estimate
     assert corrected_model(estimate, value_iteration(estimate, 0.9), 0.5).estimate
     assert "an estimate" in repr(estimate)
     asserted = estimate_model(4, 2, DATA, FAIL, deterministic=True)
-    save_model(tmp_path / "model.npz", asserted)
+    save_model(asserted, tmp_path / "model.npz")
     assert not load_model(tmp_path / "model.npz").estimate
     assert not from_networkx(to_networkx(asserted)).estimate
 
@@ -170,7 +170,7 @@ def test_formats_that_cannot_say_it_are_refused(tmp_path: Path, suffix: str) -> 
     path = tmp_path / f"model{suffix}"
     message = f"^{path}: the format cannot say that the model is an estimate from a log; write .npz"
     with pytest.raises(ValueError, match=message):
-        save_model(path, estimate_model(4, 2, DATA, FAIL))
+        save_model(estimate_model(4, 2, DATA, FAIL), path)
     assert not list(tmp_path.iterdir())
 
 

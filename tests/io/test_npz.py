@@ -75,7 +75,7 @@ def stochastic(number: Any) -> SafeMDP:
     ids=["smallest", "everything", "bare geometry", "floats", "fractions"],
 )
 def test_round_trip(model: SafeMDP, tmp_path: Path) -> None:
-    save_npz(tmp_path / "model.npz", model)
+    save_npz(model, tmp_path / "model.npz")
     assert_same(load_npz(tmp_path / "model.npz"), model)
     assert [path.name for path in tmp_path.iterdir()] == ["model.npz"]
 
@@ -162,7 +162,7 @@ def test_bad_arrays_are_named(arrays: dict[str, Any], message: str, tmp_path: Pa
 @pytest.mark.parametrize("keep", [0, 10, 200, -1, -30])
 def test_truncated_files(keep: int, tmp_path: Path) -> None:
     path = tmp_path / "model.npz"
-    save_npz(path, SafeMDP.deterministic(TABLE, FAIL))
+    save_npz(SafeMDP.deterministic(TABLE, FAIL), path)
     path.write_bytes(path.read_bytes()[:keep])
     with pytest.raises(ValueError, match="not an npz file, or it is truncated"):
         load_npz(path)
@@ -170,7 +170,7 @@ def test_truncated_files(keep: int, tmp_path: Path) -> None:
 
 def test_damaged_bytes_are_detected(tmp_path: Path) -> None:
     path = tmp_path / "model.npz"
-    save_npz(path, SafeMDP.deterministic(np.arange(1000).reshape(-1, 1), np.zeros(1000) == 1))
+    save_npz(SafeMDP.deterministic(np.arange(1000).reshape(-1, 1), np.zeros(1000) == 1), path)
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 0xFF
     path.write_bytes(content)
@@ -192,13 +192,13 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
     with pytest.raises(IsADirectoryError):
         load_npz(tmp_path)
     with pytest.raises(ValueError, match="does not exist"):
-        save_npz(tmp_path / "absent" / "model.npz", SafeMDP.deterministic(TABLE, FAIL))
+        save_npz(SafeMDP.deterministic(TABLE, FAIL), tmp_path / "absent" / "model.npz")
 
 
 def test_an_exact_model_without_transitions(tmp_path: Path) -> None:
     path = tmp_path / "model.npz"
     model = SafeMDP.stochastic(np.full((1, 1, 1), Fraction(1)), np.array([True]))
-    save_npz(path, model)
+    save_npz(model, path)
     assert_same(load_npz(path), model)
 
 

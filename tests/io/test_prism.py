@@ -354,7 +354,7 @@ def test_round_trips(
 ) -> None:
     model = models()[name]
     path = tmp_path / f"model{suffix}"
-    save_model(path, model)
+    save_model(model, path)
     loaded = load_model(path)
     assert_same_dynamics(loaded, model)
     assert loaded.action_names == (model.action_names or ("a0", "a1"))
@@ -366,9 +366,9 @@ def test_round_trips(
 
 def test_an_old_state_file_does_not_stay(tmp_path: Path) -> None:
     path = tmp_path / "model.tra"
-    save_model(path, models()["names"])
+    save_model(models()["names"], path)
     assert (tmp_path / "model.sta").exists()
-    save_model(path, models()["table"])
+    save_model(models()["table"], path)
     assert load_model(path).state_names is None
 
 
@@ -379,7 +379,7 @@ def test_nothing_is_written_beside_compressed_files_of_another_model(
     path, other = tmp_path / "model.tra", tmp_path / f"model{suffix}.gz"
     other.write_bytes(b"")
     with pytest.raises(ValueError, match=f"{path}: {other} is there, and would be read with"):
-        save_model(path, models()["table"])
+        save_model(models()["table"], path)
     assert list(tmp_path.iterdir()) == [other]
 
 
@@ -396,7 +396,7 @@ def test_names_that_cannot_be_written(suffix: str, tmp_path: Path) -> None:
         {"state_names": ["\ud800", "b", "c", "d", "e"]},
     ):
         with pytest.raises(ValueError, match=f"model{suffix}: the .*'s name .* cannot be written"):
-            save_model(path, SafeMDP.deterministic(TABLE, **ENDS, **names))
+            save_model(SafeMDP.deterministic(TABLE, **ENDS, **names), path)
     assert not list(tmp_path.iterdir())
 
 
@@ -412,7 +412,7 @@ MARKS = st.text(
 def test_names_full_of_marks(tmp_path: Path, actions: list[str], states: list[str]) -> None:
     states = [name.strip() for name in states]
     model = SafeMDP.deterministic(TABLE, **ENDS, action_names=actions, state_names=states)
-    save_model(tmp_path / "model.tra", model)
+    save_model(model, tmp_path / "model.tra")
     loaded = load_model(tmp_path / "model.tra")
     assert loaded.action_names == tuple(actions)
     assert loaded.state_names == tuple(states)
@@ -425,11 +425,11 @@ def test_many_named_actions(suffix: str, tmp_path: Path) -> None:
     table = np.tile(np.arange(70), (70, 1))
     fail = np.arange(70) == 69
     path = tmp_path / f"model{suffix}"
-    save_model(path, SafeMDP.deterministic(table, fail, action_names=names))
+    save_model(SafeMDP.deterministic(table, fail, action_names=names), path)
     assert load_model(path).action_names == tuple(names)
     table[np.arange(70) != (np.arange(70)[:, None] + 1) % 70] = -1
     with pytest.raises(ValueError, match=f"model{suffix}: the names of 70 actions, of which no"):
-        save_model(path, SafeMDP.deterministic(table, fail, action_names=names))
+        save_model(SafeMDP.deterministic(table, fail, action_names=names), path)
 
 
 @pytest.mark.parametrize(
@@ -535,7 +535,7 @@ def test_missing_files(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no label 'fail' .labels: none.; say which"):
         load_model(write(tmp_path, lab=None, sta=None))
     with pytest.raises(ValueError, match="the folder .* does not exist"):
-        save_model(tmp_path / "absent" / "model.tra", models()["table"])
+        save_model(models()["table"], tmp_path / "absent" / "model.tra")
     with pytest.raises(ValueError, match=r"constants \(--constants\) means nothing"):
         load_model(write(tmp_path), constants="N=1")
 
@@ -544,7 +544,7 @@ def test_three_files_change_together_or_not_at_all(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "model.tra"
-    save_model(path, models()["names"])
+    save_model(models()["names"], path)
     before = {each.name: each.read_bytes() for each in tmp_path.iterdir()}
     assert len(before) == 3
 
@@ -554,5 +554,5 @@ def test_three_files_change_together_or_not_at_all(
     for step in ("_write_transitions", "_write_labels", "_write_names"):
         with monkeypatch.context() as patch, pytest.raises(OSError, match="No space"):
             patch.setattr(f"dead_ends.io.prism.{step}", disk_full)
-            save_model(path, models()["floats"])
+            save_model(models()["floats"], path)
         assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == before

@@ -68,7 +68,7 @@ class TestWithStorm:
 
     def test_our_drn_is_read_by_storm(self, program: Path, stormpy: Any, tmp_path: Path) -> None:
         model = load_model(program, fail_label="pit", constants="N=4")
-        save_model(tmp_path / "model.drn", model)
+        save_model(model, tmp_path / "model.drn")
         theirs = stormpy.build_model_from_drn(str(tmp_path / "model.drn"))
         assert theirs.nr_states == 5
         assert set(theirs.labeling.get_labels_of_state(int(model.fail.argmax()))) == {"fail"}
@@ -282,7 +282,7 @@ class TestWithStorm:
             load_model(program, fail_label="neither", constants="N=4")
 
     def _drn(self, program: Path, folder: Path) -> Path:
-        save_model(folder / "a.drn", load_model(program, fail_label="pit", constants="N=4"))
+        save_model(load_model(program, fail_label="pit", constants="N=4"), folder / "a.drn")
         return folder / "a.drn"
 
     @pytest.mark.parametrize(

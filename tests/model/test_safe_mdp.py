@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from dead_ends import Geometry, SafeMDP, value_iteration
+from dead_ends import SafeMDP, value_iteration
 from dead_ends.model.checks import ExactEntries
+from dead_ends.model.safe_mdp import Geometry
 
 FAIL_LAST = np.array([False, False, True])
 CHAIN = np.array([[0, 1], [2, 2], [0, 0]], dtype=np.int32)

@@ -12,18 +12,34 @@ import numpy as np
 import pytest
 
 import dead_ends
-from dead_ends import SafeMDP, classify, greedy_actions
+from dead_ends import SafeMDP, classify
+from dead_ends.safety.policies import greedy_actions
 
-TYPES = ("SafeMDP", "Values", "Labelling", "Certificate", "ExpectedSurvival")
+TYPES = ("SafeMDP", "Values", "Labelling", "Certificate", "FilterTable", "ExpectedSurvival")
 ELSEWHERE = (
-    "animation.animate_runs",
+    "certificates.certificate.save_certificate",
+    "cli.page_answers.page_answers",
+    "draw.animation.animate_episodes",
+    "draw.page.draw_page",
+    "draw.pictures.plot_boundaries",
+    "draw.pictures.plot_map",
     "envs.safe_mdp_env.SafeMDPEnv",
     "io.labelling.save_labelling",
     "io.networkx_graph.to_networkx",
-    "plot.plot_boundaries",
-    "plot.plot_map",
-    "report.report_page",
-    "statements.report.verify_report",
+    "paper.conservatism",
+    "paper.dea_rrl",
+    "paper.dea_rrl_expectile",
+    "paper.expectile_iteration",
+    "paper.in_policy_set",
+    "paper.plan",
+    "paper.price_of_conservatism",
+    "paper.rrl",
+    "paper.rrl_msdp",
+    "paper.verification.verify_statements",
+    "safety.guarantees.episode_guarantee",
+    "safety.guarantees.expected_survival",
+    "safety.guarantees.one_step_risk",
+    "safety.policies.greedy_actions",
 )
 
 

@@ -22,6 +22,7 @@ from dead_ends.paper.methods import (
     rrl,
     rrl_msdp,
 )
+from dead_ends.safety.critics import unguarded
 from dead_ends.safety.policies import greedy_actions
 from dead_ends.safety.thresholds import threshold_interval
 from dead_ends.values.bellman import evaluate_policy, value_iteration
@@ -157,7 +158,7 @@ def test_conservatism_counts_by_hand() -> None:
     model = SafeMDP.deterministic(table, np.arange(5) == 4, terminal=np.arange(5) == 3)
     inf = np.inf
     Q = np.array([[0.6, 0.4, 1.0], [0.1, 0.9, inf], [1.0] * 3, [0.0] * 3, [inf] * 3])
-    result = conservatism(model, Q, 0.5)
+    result = conservatism(model, unguarded(Q), 0.5)
     assert result == Conservatism(
         safe_states=2,
         blocked_safe_states=1,
@@ -173,13 +174,13 @@ def test_conservatism_counts_by_hand() -> None:
 
 def test_no_safe_state_blocks_nothing() -> None:
     model = SafeMDP.deterministic(np.array([[1], [1]]), np.array([False, True]))
-    result = conservatism(model, np.ones((2, 1)), 0.5)
+    result = conservatism(model, unguarded(np.ones((2, 1))), 0.5)
     assert result == Conservatism(0, 0, 0, 0, 0, 0)
     assert result.blocked_safe_states_share == 0
     assert result.blocked_safe_actions_share == 0
     assert result.missed_unsafe_actions_share == 0
     with pytest.raises(ValueError, match=r"^Q must have shape \(2, 1\), not \(2, 2\)$"):
-        conservatism(model, np.ones((2, 2)), 0.5)
+        conservatism(model, unguarded(np.ones((2, 2))), 0.5)
 
 
 @untimed

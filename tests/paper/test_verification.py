@@ -12,7 +12,7 @@ import pytest
 from dead_ends import SafeMDP, classify, evaluate_policy, value_iteration
 from dead_ends.__main__ import main
 from dead_ends.io.npz import save_npz
-from dead_ends.paper import Verification, predicates, verify_report
+from dead_ends.paper import Verification, predicates, verify_statements
 
 HALF = Fraction(1, 2)
 
@@ -39,7 +39,7 @@ def verdicts(found: Verification) -> dict[str, bool | None]:
 
 
 def test_deterministic_model() -> None:
-    found = verify_report(rrl_model())
+    found = verify_statements(rrl_model())
     assert (found.labelling.horizon, found.labelling.boundary_horizon) == (2, 2)
     assert found.interval.upper == 0.99**2
     assert 0.99**3 < found.epsilon_safe < 0.99**2
@@ -61,19 +61,19 @@ def test_deterministic_model() -> None:
 
 
 def test_a_good_task_policy_makes_rrl_safe() -> None:
-    found = verify_report(rrl_model(), policy=np.array([1, 1, 0, 0, 0]))
+    found = verify_statements(rrl_model(), policy=np.array([1, 1, 0, 0, 0]))
     assert verdicts(found)["After Theorem 2"] is True
 
 
 def test_a_threshold_that_is_too_large_breaks_theorem_2() -> None:
-    found = verdicts(verify_report(rrl_model(), HALF, epsilon_safe=HALF))
+    found = verdicts(verify_statements(rrl_model(), HALF, epsilon_safe=HALF))
     assert found["Theorem 2"] is False
     assert found["Abstract, Figure 1"] is False
-    assert verdicts(verify_report(rrl_model(), HALF, epsilon_safe=HALF**2))["Theorem 2"] is True
+    assert verdicts(verify_statements(rrl_model(), HALF, epsilon_safe=HALF**2))["Theorem 2"] is True
 
 
 def test_stochastic_model() -> None:
-    found = verify_report(risky_model(), Fraction(9, 10), epsilon_safe=HALF)
+    found = verify_statements(risky_model(), Fraction(9, 10), epsilon_safe=HALF)
     held = verdicts(found)
     assert held["Assumption 1"] is False
     assert held["Lemma 1, third bullet"] is False
@@ -87,14 +87,14 @@ def test_stochastic_model() -> None:
 
 
 def test_the_recommended_threshold_works_on_the_states_without_risk() -> None:
-    held = verdicts(verify_report(risky_model(), Fraction(9, 10)))
+    held = verdicts(verify_statements(risky_model(), Fraction(9, 10)))
     assert held["Theorem 2"] is True
     assert held["Abstract, Figure 1"] is True
 
 
 def test_a_late_dead_end_is_no_worse_than_a_risk() -> None:
     """V* of the risk is 1/2; that of the dead-end, gamma = 1/2, is (1/2) / (1 - 1/4) = 2/3."""
-    by_place = {s.place: s for s in verify_report(risky_model(), HALF).statements}
+    by_place = {s.place: s for s in verify_statements(risky_model(), HALF).statements}
     separation = by_place["Lemma 1 and Theorem 2"]
     assert separation.holds
     assert separation.detail == ("V_c* is at most 0.5 on S_safe, at least 0.666667 on S_dead")
@@ -104,7 +104,7 @@ def test_a_late_dead_end_is_no_worse_than_a_risk() -> None:
     P[1, 0, 1], P[1, 0, 3] = 1 - slower, slower
     position = np.arange(4)
     model = SafeMDP.stochastic(P, position == 3, terminal=position == 2)
-    by_place = {s.place: s for s in verify_report(model, HALF).statements}
+    by_place = {s.place: s for s in verify_statements(model, HALF).statements}
     assert by_place["Lemma 1 and Theorem 2"].holds is False
 
 
@@ -116,7 +116,7 @@ def test_what_floats_leave_open_is_undecided(monkeypatch: pytest.MonkeyPatch) ->
     P[1, 0] = [0.9, 0.0, 0.1]
     model = SafeMDP.stochastic(P, np.arange(3) == 2)
     Q = value_iteration(model, 0.9).Q[0, 0]
-    found = verify_report(model, 0.9, epsilon_safe=float(Q))
+    found = verify_statements(model, 0.9, epsilon_safe=float(Q))
     theorem_1 = next(s for s in found.statements if s.place == "Theorem 1")
     assert theorem_1.holds is None
     assert "it is not certain whether it is below" in theorem_1.detail
@@ -124,20 +124,20 @@ def test_what_floats_leave_open_is_undecided(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_a_wrong_threshold_is_refused() -> None:
     with pytest.raises(ValueError, match="epsilon_safe must be positive, not 0"):
-        verify_report(rrl_model(), epsilon_safe=0)
+        verify_statements(rrl_model(), epsilon_safe=0)
 
 
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "model.npz"
-    save_npz(path, rrl_model())
+    save_npz(rrl_model(), path)
     np.save(tmp_path / "policy.npy", np.array([1, 1, 0, 0, 0]))
-    assert main(["verify", str(path)]) == 0
+    assert main(["statements", str(path)]) == 0
     printed = capsys.readouterr().out
     assert "FAILS  After Theorem 2" in printed
     assert "fails at state 0 (P), action 0" in printed
     assert "0 < epsilon_safe <= gamma_safe**2 = 0.9801\n" in printed
     policy = ["--policy", str(tmp_path / "policy.npy"), "--epsilon-safe", "0.9"]
-    assert main(["verify", str(path), *policy]) == 0
+    assert main(["statements", str(path), *policy]) == 0
     printed = capsys.readouterr().out
     assert "holds  After Theorem 2" in printed
     assert "0.9\n" in printed
@@ -145,20 +145,27 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize(
     ("content", "message"),
-    [(b"no array", "not a policy in NumPy's .npy format"), (None, "not a policy")],
+    [(b"no array", "not a policy in .npy form"), (None, "policy.npy: No such file")],
 )
 def test_a_policy_that_cannot_be_read(
     content: bytes | None, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "model.npz"
-    save_npz(path, rrl_model())
+    save_npz(rrl_model(), path)
     policy = tmp_path / "policy.npy"
     if content is not None:
         policy.write_bytes(content)
-    assert main(["verify", str(path), "--policy", str(policy)]) == 2
+    assert main(["statements", str(path), "--policy", str(policy)]) == 2
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+
+
+def test_an_archive_is_no_policy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "model.npz"
+    save_npz(path, rrl_model())
+    assert main(["statements", str(path), "--policy", str(path)]) == 2
+    assert "not a policy in .npy form: it holds several arrays" in capsys.readouterr().err
 
 
 def test_predicates_name_the_place() -> None:

@@ -18,7 +18,13 @@ from dead_ends.io.environment_model import Ended, model_of_environment
 from dead_ends.labels.classification import classify, safe_actions
 from dead_ends.labels.labelling import INFINITE
 from dead_ends.model.safe_mdp import Geometry, SafeMDP
-from dead_ends.safety.correction import behavior_correction, corrected_model, safety_filter
+from dead_ends.safety.correction import (
+    behavior_correction,
+    corrected_actions,
+    corrected_model,
+    safety_filter,
+)
+from dead_ends.safety.critics import unguarded
 from dead_ends.safety.policies import greedy_actions
 
 F = Fraction
@@ -107,7 +113,7 @@ def rrl_counterexample() -> SafeMDP:
 
 def test_the_equation_for_integer_policies() -> None:
     Q = np.array([[0.0, 0.5], [0.4, 0.1], [INF, INF]])
-    corrected = behavior_correction(np.array([1, 1, -1]), Q, 0.5, np.array([0, 1, 0]))
+    corrected = behavior_correction(np.array([1, 1, -1]), unguarded(Q), 0.5, np.array([0, 1, 0]))
     assert corrected.tolist() == [0, 1, 0]
     assert np.issubdtype(corrected.dtype, np.integer)
 
@@ -115,7 +121,7 @@ def test_the_equation_for_integer_policies() -> None:
 def test_blocked_probability_moves_to_the_recovery_action() -> None:
     Q = fractions([[F(0), F(1, 2), F(1)], [F(1), F(1), F(1)], [F(0), F(0), F(0)]])
     policy = fractions([[F(1, 2), F(1, 3), F(1, 6)], [F(1), F(0), F(0)], [F(0), F(1, 2), F(1, 2)]])
-    corrected = behavior_correction(policy, Q, HALF, np.array([0, 2, 1]))
+    corrected = behavior_correction(policy, unguarded(Q), HALF, np.array([0, 2, 1]))
     expected = [[F(1), F(0), F(0)], [F(0), F(0), F(1)], [F(0), F(1, 2), F(1, 2)]]
     assert corrected.tolist() == expected
 
@@ -123,15 +129,17 @@ def test_blocked_probability_moves_to_the_recovery_action() -> None:
 def test_fractions_stay_fractions_beside_an_integer_policy() -> None:
     Q = np.array([[0.0, 1.0, 1.0]])
     thirds = fractions([[F(1, 3), F(1, 3), F(1, 3)]])
-    recovered = behavior_correction(thirds, Q, 0.5, np.array([1]))
+    recovered = behavior_correction(thirds, unguarded(Q), 0.5, np.array([1]))
     assert recovered.tolist() == [[F(1, 3), F(2, 3), F(0)]]
-    shared = behavior_correction(np.array([2]), Q, 0.5, thirds)
+    shared = behavior_correction(np.array([2]), unguarded(Q), 0.5, thirds)
     assert shared.tolist() == thirds.tolist()
 
 
 def test_fractions_beside_floats_become_floats() -> None:
     Q = np.array([[0.0, 1.0]])
-    mixed = behavior_correction(fractions([[F(1, 3), F(2, 3)]]), Q, 0.5, np.array([[0.5, 0.5]]))
+    mixed = behavior_correction(
+        fractions([[F(1, 3), F(2, 3)]]), unguarded(Q), 0.5, np.array([[0.5, 0.5]])
+    )
     assert mixed.dtype == np.float64
     assert mixed == pytest.approx(np.array([[2 / 3, 1 / 3]]))
 
@@ -139,17 +147,20 @@ def test_fractions_beside_floats_become_floats() -> None:
 def test_a_stochastic_recovery_shares_what_was_blocked() -> None:
     Q = np.array([[0.0, 1.0], [1.0, 0.0]])
     recovery = np.array([[0.75, 0.25], [0.0, 1.0]])
-    assert behavior_correction(np.array([1, 1]), Q, 0.5, recovery).tolist() == [
+    assert behavior_correction(np.array([1, 1]), unguarded(Q), 0.5, recovery).tolist() == [
         [0.75, 0.25],
         [0.0, 1.0],
     ]
     uniform = np.full((2, 2), 0.5)
-    assert behavior_correction(uniform, Q, 0.5, recovery).tolist() == [[0.875, 0.125], [0.0, 1.0]]
+    assert behavior_correction(uniform, unguarded(Q), 0.5, recovery).tolist() == [
+        [0.875, 0.125],
+        [0.0, 1.0],
+    ]
 
 
 def test_an_unavailable_proposal_is_corrected() -> None:
     Q = np.array([[0.0, INF]])
-    assert behavior_correction(np.array([1]), Q, 0.5, np.array([0])).tolist() == [0]
+    assert behavior_correction(np.array([1]), unguarded(Q), 0.5, np.array([0])).tolist() == [0]
 
 
 def test_behavior_correction_names_what_is_wrong() -> None:
@@ -157,13 +168,16 @@ def test_behavior_correction_names_what_is_wrong() -> None:
     with pytest.raises(
         ValueError, match=r"^recovery: state 0, action 2 is not available there \(Q = \+inf\)$"
     ):
-        behavior_correction(np.array([1, 0]), Q, 0.5, np.array([2, 0]))
+        behavior_correction(np.array([1, 0]), unguarded(Q), 0.5, np.array([2, 0]))
     # Where it is not needed, it may be anything.
-    assert behavior_correction(np.array([0, 0]), Q, 0.5, np.array([2, 0])).tolist() == [0, 0]
+    assert behavior_correction(np.array([0, 0]), unguarded(Q), 0.5, np.array([2, 0])).tolist() == [
+        0,
+        0,
+    ]
     with pytest.raises(ValueError, match=r"^recovery: state 1: there is no action 3 \(0 to 2\)$"):
-        behavior_correction(np.array([0, 0]), Q, 0.5, np.array([0, 3]))
+        behavior_correction(np.array([0, 0]), unguarded(Q), 0.5, np.array([0, 3]))
     with pytest.raises(ValueError, match=r"^policy must be integers \(2,\) or probabilities"):
-        behavior_correction(np.array([0]), Q, 0.5, np.array([0, 0]))
+        behavior_correction(np.array([0]), unguarded(Q), 0.5, np.array([0, 0]))
 
 
 def test_shares_too_need_a_recovery_that_is_available() -> None:
@@ -175,9 +189,9 @@ def test_shares_too_need_a_recovery_that_is_available() -> None:
     refused = r"^recovery: state 0, action 2 is not available there \(Q = \+inf\)$"
     for task, recovery in ((tiny, single), (tiny, half), (np.array([1, 0, 0]), half)):
         with pytest.raises(ValueError, match=refused):
-            behavior_correction(task, Q, 0.5, recovery)
+            behavior_correction(task, unguarded(Q), 0.5, recovery)
     for task, recovery in ((np.eye(3), single), (np.eye(3), half), (np.array([0, 1, 2]), half)):
-        executed = behavior_correction(task, Q, 0.5, recovery)
+        executed = behavior_correction(task, unguarded(Q), 0.5, recovery)
         assert executed[:2].tolist() == np.eye(3)[:2].tolist()
 
 
@@ -185,9 +199,9 @@ def test_the_first_state_without_its_recovery_is_named() -> None:
     Q = np.array([[0.0, INF, INF], [0.9, INF, 0.8], [0.9, 0.8, INF], [0.9, 0.8, INF]])
     for task in (np.zeros(4, dtype=np.int64), np.eye(3)[[0, 0, 0, 0]]):
         with pytest.raises(ValueError, match=r"^recovery: state 1, action 1 is not available"):
-            behavior_correction(task, Q, 0.5, np.array([1, 1, 2, 2]))
+            behavior_correction(task, unguarded(Q), 0.5, np.array([1, 1, 2, 2]))
         with pytest.raises(ValueError, match=r"^recovery: state 2, action 2 is not available"):
-            behavior_correction(task, Q, 0.5, np.array([1, 2, 2, 2]))
+            behavior_correction(task, unguarded(Q), 0.5, np.array([1, 2, 2, 2]))
 
 
 @untimed
@@ -200,15 +214,24 @@ def test_integer_and_stochastic_forms_agree(data: st.DataObject) -> None:
     actions = st.lists(st.integers(0, 2), min_size=len(Q), max_size=len(Q))
     task, recovery = np.array(data.draw(actions)), np.array(data.draw(actions))
     epsilon = data.draw(st.fractions(0, 1, max_denominator=8))
-    corrected = behavior_correction(task, Q, epsilon, recovery)
+    corrected = behavior_correction(task, unguarded(Q), epsilon, recovery)
     one_hot = np.eye(3)
     expected = one_hot[corrected].tolist()
     for policy, rec in product((task, one_hot[task]), (recovery, one_hot[recovery])):
         if policy.ndim == 2 or rec.ndim == 2:
-            assert behavior_correction(policy, Q, epsilon, rec).tolist() == expected
+            assert behavior_correction(policy, unguarded(Q), epsilon, rec).tolist() == expected
 
 
-# corrected_model
+# corrected_actions, corrected_model
+
+
+def test_a_blocked_action_is_replaced() -> None:
+    allowed = np.array([[True, False], [False, False]])
+    recovery = np.array([0, 1])
+    every = corrected_actions(allowed, recovery, np.arange(2)[:, None], np.arange(2))
+    assert every.tolist() == [[0, 0], [1, 1]]
+    assert corrected_actions(allowed, recovery, [0, 0, 1], [0, 1, 0]).tolist() == [0, 0, 1]
+    assert corrected_actions(allowed, recovery, 1, 0) == 1
 
 
 def test_the_corrected_table_and_its_rewards() -> None:
@@ -227,7 +250,7 @@ def test_the_corrected_table_and_its_rewards() -> None:
         geometry=geometry,
     )
     Q = np.array([[0.0, 0.5, INF], [0.5, 1.0, 0.0], [INF] * 3, [0.0] * 3])
-    corrected = corrected_model(model, Q, 0.5)
+    corrected = corrected_model(model, unguarded(Q), 0.5)
     assert corrected.is_deterministic
     assert corrected.next_state is not None
     assert corrected.next_state.dtype == np.int32
@@ -243,7 +266,7 @@ def test_the_corrected_table_and_its_rewards() -> None:
     assert corrected.initial is model.initial
     assert corrected.geometry is geometry
     assert np.array_equal(corrected.terminal, terminal)
-    other = corrected_model(model, Q, 0.5, np.array([1, 1, 9, 0]) % 3)
+    other = corrected_model(model, unguarded(Q), 0.5, np.array([1, 1, 9, 0]) % 3)
     assert other.successors()[1].tolist() == [2, 2, 0]
 
 
@@ -252,7 +275,7 @@ def test_no_threshold_touches_terminal_states() -> None:
     model = SafeMDP.deterministic(
         table, np.array([False, False]), terminal=np.array([False, True]), rewards=table * 1.0
     )
-    corrected = corrected_model(model, np.zeros((2, 2)), 0.0)
+    corrected = corrected_model(model, unguarded(np.zeros((2, 2))), 0.0)
     assert corrected.successors().tolist() == [[0, 0], [1, 1]]
     assert corrected.rewards is not None
     assert corrected.rewards.tolist() == [[0.0, 0.0], [-1.0, -1.0]]
@@ -273,7 +296,7 @@ def stochastic_model(kind: type) -> SafeMDP:
 def test_the_corrected_kernel_stays_exact(kind: type) -> None:
     model = stochastic_model(kind)
     Q = np.array([[0.0, 0.7], [0.0, INF], [INF, INF]])
-    corrected = corrected_model(model, Q, 0.5)
+    corrected = corrected_model(model, unguarded(Q), 0.5)
     assert not corrected.is_deterministic
     dense = corrected.transitions().toarray().reshape(3, 2, 3)
     before = model.transitions().toarray().reshape(3, 2, 3)
@@ -288,7 +311,7 @@ def test_the_corrected_kernel_stays_exact(kind: type) -> None:
     assert corrected.rewards[0].tolist() == [1.0, 1.0]
     assert not corrected.transitions().data.flags.writeable
     # Without anything to correct nothing changes.
-    same = corrected_model(model, Q, 1.0)
+    same = corrected_model(model, unguarded(Q), 1.0)
     assert np.array_equal(same.transitions().toarray(), model.transitions().toarray())
 
 
@@ -296,19 +319,19 @@ def test_corrected_model_names_what_is_wrong() -> None:
     model = rrl_counterexample()
     Q = np.full((5, 2), 0.25)
     with pytest.raises(ValueError, match=r"^Q must have shape \(5, 2\), not \(4, 2\)$"):
-        corrected_model(model, Q[:4], 0.5)
+        corrected_model(model, unguarded(Q[:4]), 0.5)
     with pytest.raises(ValueError, match=r"^recovery must be integers of shape \(5,\), not float"):
-        corrected_model(model, Q, 0.5, np.zeros((5, 2)))
+        corrected_model(model, unguarded(Q), 0.5, np.zeros((5, 2)))
     with pytest.raises(
-        ValueError, match=r"^recovery: state 1 \(q\): action 2 is not one of 0 to 1$"
+        ValueError, match=r"^recovery: state 1 \(q\): there is no action 2 \(0 to 1\)$"
     ):
-        corrected_model(model, Q, 0.5, np.array([0, 2, 0, 0, 0]))
+        corrected_model(model, unguarded(Q), 0.5, np.array([0, 2, 0, 0, 0]))
     partial = SafeMDP.deterministic(np.array([[0, -1], [1, 1]]), np.array([False, True]))
     with pytest.raises(
         ValueError,
         match=r"^state 0: the recovery policy takes action 1, which is not available there$",
     ):
-        corrected_model(partial, np.zeros((2, 2)), 0.0, np.array([1, 0]))
+        corrected_model(partial, unguarded(np.zeros((2, 2))), 0.0, np.array([1, 0]))
 
 
 def test_the_recovery_is_only_needed_where_something_is_proposed_and_blocked() -> None:
@@ -318,22 +341,24 @@ def test_the_recovery_is_only_needed_where_something_is_proposed_and_blocked() -
         table, np.arange(5) == 2, terminal=np.arange(5) == 1, action_names=["x", "y"]
     )
     Q = np.array([[0.0, INF], [0.9, 0.9], [INF, INF], [INF, 1.0], [INF, 1.0]])
-    corrected = corrected_model(model, Q, 0.5, np.array([1, 0, 0, 1, 1]))
+    corrected = corrected_model(model, unguarded(Q), 0.5, np.array([1, 0, 0, 1, 1]))
     assert corrected.successors().tolist() == model.successors().tolist()
     with pytest.raises(ValueError, match=r"^state 3: the recovery policy takes action 0 \(x\),"):
-        corrected_model(model, Q, 0.5, np.array([1, 0, 0, 0, 0]))
+        corrected_model(model, unguarded(Q), 0.5, np.array([1, 0, 0, 0, 0]))
     with pytest.raises(ValueError, match=r"^state 4: the recovery policy takes action 0 \(x\),"):
-        corrected_model(model, Q, 0.5, np.array([1, 0, 0, 1, 0]))
+        corrected_model(model, unguarded(Q), 0.5, np.array([1, 0, 0, 1, 0]))
 
 
 def test_a_recovery_action_that_does_not_exist_is_named_with_its_first_state() -> None:
     model = rrl_counterexample()
     for wrong, action in (([0, 0, -1, 2, 0], -1), ([0, 0, 2, -1, 5], 2)):
-        with pytest.raises(ValueError, match=rf"^recovery: state 2 \(d2\): action {action} is not"):
-            corrected_model(model, np.zeros((5, 2)), 0.5, np.array(wrong))
+        with pytest.raises(
+            ValueError, match=rf"^recovery: state 2 \(d2\): there is no action {action} \("
+        ):
+            corrected_model(model, unguarded(np.zeros((5, 2))), 0.5, np.array(wrong))
     for shape in (np.zeros(4, dtype=int), np.zeros((5, 1), dtype=int), np.zeros(5)):
         with pytest.raises(ValueError, match=r"^recovery must be integers of shape \(5,\), not "):
-            corrected_model(model, np.zeros((5, 2)), 0.5, shape)
+            corrected_model(model, unguarded(np.zeros((5, 2))), 0.5, shape)
 
 
 # Theorem 2 and its limits
@@ -350,7 +375,7 @@ def test_the_loop_corrected_with_the_best_critic_never_leaves_the_safe_set(
     horizon = labelling.boundary_horizon
     for epsilon in (F(1, 10**6), HALF ** (horizon or 0)):
         for recovery in recoveries(Q):
-            corrected = corrected_model(model, Q, epsilon, recovery)
+            corrected = corrected_model(model, unguarded(Q), epsilon, recovery)
             assert stays_safe(corrected, labelling.safe)
             # And nothing safe is blocked: safe actions lead where they led.
             safe = safe_actions(model, labelling)
@@ -365,7 +390,7 @@ def test_above_the_interval_some_agent_leaves_the_safe_set(model: SafeMDP) -> No
         return
     Q = critic_of_times(model, labelling.survival_time)
     epsilon = HALF**labelling.boundary_horizon + F(1, 10**9)
-    corrected = corrected_model(model, Q, epsilon)
+    corrected = corrected_model(model, unguarded(Q), epsilon)
     assert not stays_safe(corrected, labelling.safe)
 
 
@@ -380,7 +405,7 @@ def test_a_gate_on_a_policys_critic_is_safe_with_the_best_recovery(
     Q = critic_of_times(model, labelling.survival_time)
     epsilon = HALF ** (labelling.boundary_horizon or 0)
     for recovery in recoveries(Q, 16):
-        corrected = corrected_model(model, Q_task, epsilon, recovery)
+        corrected = corrected_model(model, unguarded(Q_task), epsilon, recovery)
         assert stays_safe(corrected, labelling.safe)
 
 
@@ -393,12 +418,10 @@ def test_recovery_rl_enters_a_dead_end_from_a_safe_state() -> None:
     Q_task = critic_of_times(model, policy_times(model, np.zeros(5, dtype=np.int64)))
     for epsilon in (F(1, 10**6), HALF**2):  # gamma^H_b is the largest allowed
         for recovery in recoveries(Q_task):
-            assert corrected_model(model, Q_task, epsilon, recovery).successors()[0].tolist() == [
-                2,
-                2,
-            ]
+            loop = corrected_model(model, unguarded(Q_task), epsilon, recovery)
+            assert loop.successors()[0].tolist() == [2, 2]
         Q = critic_of_times(model, labelling.survival_time)
-        assert reachable(corrected_model(model, Q, epsilon), 0) == {0, 1}
+        assert reachable(corrected_model(model, unguarded(Q), epsilon), 0) == {0, 1}
 
 
 @pytest.mark.parametrize(("m", "by_a_tie"), [(1, False), (2, False), (3, True)])
@@ -419,7 +442,7 @@ def test_all_models_of_three_states_agree_on_when_recovery_rl_is_safe(
         epsilon = HALF ** (labelling.boundary_horizon or 0)
         keeps = all((Q_task[s] < epsilon).any() for s in np.flatnonzero(labelling.safe))
         stays = [
-            stays_safe(corrected_model(model, Q_task, epsilon, recovery), labelling.safe)
+            stays_safe(corrected_model(model, unguarded(Q_task), epsilon, recovery), labelling.safe)
             for recovery in recoveries(Q_task)
         ]
         assert all(stays) or not keeps
@@ -437,13 +460,13 @@ def test_the_filter_of_a_model() -> None:
         action_names=["go", "stay"],
     )
     blind = np.zeros((3, 2))
-    table = safety_filter(model, blind)
+    table = safety_filter(model, unguarded(blind))
     assert table.allowed.tolist() == [[False, True], [False, False], [False, False]]
     assert table.recovery[0] == 1
     assert (table.state_names, table.action_names) == (model.state_names, model.action_names)
     assert (table.keys, table.metadata) == (None, {})
     assert safety_filter(model).allowed.tolist() == table.allowed.tolist()
-    assert safety_filter(model, blind, 0.5).allowed.all()
+    assert safety_filter(model, unguarded(blind), 0.5).allowed.all()
     assert safety_filter(replace(model, estimate=True)).metadata == {"estimate": True}
     explored = model_of_environment(model, [0, (1, 2.5), Ended(0)], seed=3, table="abc")
     keyed = safety_filter(explored, metadata={"made by": "a test"})

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from dead_ends.model.safe_mdp import SafeMDP
+from dead_ends.safety.critics import critic_table, unguarded
 from dead_ends.safety.policies import (
     Reading,
     allowed_actions,
-    critic_table,
     greedy_actions,
     in_policy_set,
     recovery_policy,
@@ -108,41 +108,45 @@ def test_recovery_policy_draws_among_the_minimisers_only() -> None:
 
 
 def test_allowed_is_strictly_below() -> None:
-    assert allowed_actions(TABLE, 0.25).tolist() == [
+    assert allowed_actions(unguarded(TABLE), 0.25).tolist() == [
         [False, False, False],
         [False, False, True],
         [False] * 3,
         [False] * 3,
     ]
-    assert allowed_actions(TABLE, math.nextafter(0.25, 1))[0].tolist() == [False, True, True]
-    assert not allowed_actions(TABLE, 0).any()
-    assert not allowed_actions(TABLE, -1.0).any()
-    assert np.array_equal(allowed_actions(TABLE, INF), np.isfinite(TABLE))
+    assert allowed_actions(unguarded(TABLE), math.nextafter(0.25, 1))[0].tolist() == [
+        False,
+        True,
+        True,
+    ]
+    assert not allowed_actions(unguarded(TABLE), 0).any()
+    assert not allowed_actions(unguarded(TABLE), -1.0).any()
+    assert np.array_equal(allowed_actions(unguarded(TABLE), INF), np.isfinite(TABLE))
 
 
 def test_float32_tables_are_compared_exactly() -> None:
     table = np.array([[np.float32(0.3)]])  # 0.30000001192..., above 0.3
-    assert not allowed_actions(table, 0.3).any()
-    assert np.array_equal(allowed_actions(table, F(float(table[0, 0]))), [[False]])
+    assert not allowed_actions(unguarded(table), 0.3).any()
+    assert np.array_equal(allowed_actions(unguarded(table), F(float(table[0, 0]))), [[False]])
 
 
 def test_integer_tables_are_compared_exactly() -> None:
-    assert allowed_actions(np.array([[0, 1]]), 1).tolist() == [[True, False]]
+    assert allowed_actions(unguarded(np.array([[0, 1]])), 1).tolist() == [[True, False]]
 
 
 @settings(deadline=None)  # a busy machine may pause
 @given(st.floats(0, 1), st.fractions(0, 1))
 def test_a_fraction_threshold_is_not_rounded(q: float, epsilon: Fraction) -> None:
     for each in (q, float(epsilon), math.nextafter(float(epsilon), 2)):
-        assert allowed_actions(np.array([[each]]), epsilon)[0, 0] == (F(each) < epsilon)
+        assert allowed_actions(unguarded(np.array([[each]])), epsilon)[0, 0] == (F(each) < epsilon)
 
 
 def test_beside_fractions_a_float_threshold_is_its_shortest_decimal() -> None:
     exact = fractions([[F(1, 10), F(1, 10) - F(1, 10**30), INF]])
     # The float 0.1 is a little above 1/10; compared as such it would let 1/10 pass.
-    assert allowed_actions(exact, 0.1).tolist() == [[False, True, False]]
-    assert allowed_actions(exact, F(1, 10)).tolist() == [[False, True, False]]
-    assert allowed_actions(exact, INF).tolist() == [[True, True, False]]
+    assert allowed_actions(unguarded(exact), 0.1).tolist() == [[False, True, False]]
+    assert allowed_actions(unguarded(exact), F(1, 10)).tolist() == [[False, True, False]]
+    assert allowed_actions(unguarded(exact), INF).tolist() == [[True, True, False]]
 
 
 def test_bounds_decide_for_rounded_values() -> None:
@@ -204,18 +208,30 @@ def test_bad_tables_are_named(table: NDArray[Any], message: str) -> None:
     with pytest.raises(ValueError, match=f"^{message}$"):
         greedy_actions(table)
     with pytest.raises(ValueError, match=f"^{message}$"):
-        allowed_actions(table, 0.5)
+        allowed_actions(unguarded(table), 0.5)
     with pytest.raises(ValueError, match=f"^{message}$"):
         recovery_policy(table)
 
 
+def test_a_bare_table_decides_only_if_one_says_so() -> None:
+    for what in (TABLE, TABLE.tolist(), None):
+        with pytest.raises(TypeError, match=r"^allowed_actions takes a Values .*unguarded\(Q\)"):
+            allowed_actions(what, 0.5)  # type: ignore[arg-type]  # what a caller may get wrong
+    table = TABLE.copy()
+    critic = unguarded(table)
+    table[:] = 0
+    assert np.array_equal(critic.Q, TABLE)
+    assert not critic.Q.flags.writeable
+    assert recovery_policy(critic).tolist() == recovery_policy(TABLE).tolist()
+
+
 def test_bad_thresholds_are_named() -> None:
     with pytest.raises(ValueError, match=r"^epsilon_safe is NaN$"):
-        allowed_actions(TABLE, math.nan)
+        allowed_actions(unguarded(TABLE), math.nan)
     with pytest.raises(ValueError, match=r"^epsilon_safe must be a number, not '0.3'$"):
-        allowed_actions(TABLE, "0.3")  # type: ignore[arg-type]  # what a caller may get wrong
+        allowed_actions(unguarded(TABLE), "0.3")  # type: ignore[arg-type]  # what a caller may get wrong
     with pytest.raises(ValueError, match=r"^epsilon_safe must be a number, not True$"):
-        allowed_actions(TABLE, True)
+        allowed_actions(unguarded(TABLE), True)
 
 
 def test_the_readings_of_the_policy_set_differ() -> None:
@@ -224,14 +240,14 @@ def test_the_readings_of_the_policy_set_differ() -> None:
     safe = np.array([True, False])
     uniform = fractions([[F(1, 2), F(1, 2)], [F(0), F(0)]])
     arguments: dict[str, Any] = {"epsilon_safe": F(7, 10), "safe": safe}
-    assert not in_policy_set(uniform, Q, **arguments)
-    assert in_policy_set(uniform, Q, **arguments, reading=Reading.EXPECTATION)
-    assert in_policy_set(uniform, Q, **arguments, reading="expectation")
+    assert not in_policy_set(uniform, unguarded(Q), **arguments)
+    assert in_policy_set(uniform, unguarded(Q), **arguments, reading=Reading.EXPECTATION)
+    assert in_policy_set(uniform, unguarded(Q), **arguments, reading="expectation")
     exactly = {**arguments, "epsilon_safe": F(2, 3)}
-    assert not in_policy_set(uniform, Q, **exactly, reading="expectation")
-    assert in_policy_set(np.array([0, 0]), Q, **arguments)
-    assert not in_policy_set(np.array([1, 0]), Q, **arguments)
-    assert not in_policy_set(np.array([1, 0]), Q, **arguments, reading="expectation")
+    assert not in_policy_set(uniform, unguarded(Q), **exactly, reading="expectation")
+    assert in_policy_set(np.array([0, 0]), unguarded(Q), **arguments)
+    assert not in_policy_set(np.array([1, 0]), unguarded(Q), **arguments)
+    assert not in_policy_set(np.array([1, 0]), unguarded(Q), **arguments, reading="expectation")
 
 
 def test_expectations_are_exact_and_rows_are_scaled() -> None:
@@ -243,21 +259,24 @@ def test_expectations_are_exact_and_rows_are_scaled() -> None:
     safe = np.array([True])
     for epsilon in (mean, mean + F(1, 10**40)):
         expected = mean < epsilon
-        assert in_policy_set(policy, Q, epsilon, safe=safe, reading="expectation") == expected
+        assert (
+            in_policy_set(policy, unguarded(Q), epsilon, safe=safe, reading="expectation")
+            == expected
+        )
 
 
 def test_an_unavailable_action_has_an_infinite_expectation() -> None:
     policy = np.array([[0.5, 0.5]])
     Q = np.array([[0.0, INF]])
     safe = np.array([True])
-    assert not in_policy_set(policy, Q, 0.5, safe=safe, reading="expectation")
+    assert not in_policy_set(policy, unguarded(Q), 0.5, safe=safe, reading="expectation")
 
 
 def test_states_that_are_not_safe_do_not_count() -> None:
     Q = np.array([[0.0, 0.5], [1.0, 1.0], [INF, INF]])
     policy = np.array([0, 1, 0])
-    assert in_policy_set(policy, Q, 0.5, safe=np.array([True, False, False]))
-    assert not in_policy_set(policy, Q, 0.5, safe=np.array([True, True, False]))
+    assert in_policy_set(policy, unguarded(Q), 0.5, safe=np.array([True, False, False]))
+    assert not in_policy_set(policy, unguarded(Q), 0.5, safe=np.array([True, True, False]))
 
 
 def test_values_know_which_states_are_safe() -> None:
@@ -305,8 +324,10 @@ def test_policy_sets_agree_with_their_definition(
     expected = all(
         row[0] * (1 - p) + row[1] * p < epsilon for row, p in zip(rows, shares, strict=True)
     )
-    assert in_policy_set(policy, Q, epsilon, safe=safe) == per_action
-    assert in_policy_set(policy, Q, epsilon, safe=safe, reading="expectation") == expected
+    assert in_policy_set(policy, unguarded(Q), epsilon, safe=safe) == per_action
+    assert (
+        in_policy_set(policy, unguarded(Q), epsilon, safe=safe, reading="expectation") == expected
+    )
 
 
 @pytest.mark.parametrize(
@@ -327,15 +348,15 @@ def test_policy_sets_agree_with_their_definition(
 def test_bad_policies_are_named(policy: NDArray[Any], message: str) -> None:
     Q = np.array([[0.0, 0.5], [1.0, 1.0], [INF, INF]])
     with pytest.raises(ValueError, match=f"^{message}$"):
-        in_policy_set(policy, Q, 0.5, safe=np.array([True, False, False]))
+        in_policy_set(policy, unguarded(Q), 0.5, safe=np.array([True, False, False]))
 
 
 def test_the_mask_of_safe_states_is_needed_and_checked() -> None:
     Q = np.array([[0.0, 0.5]])
     with pytest.raises(ValueError, match=r"^in_policy_set needs `safe`, the mask of S_safe"):
-        in_policy_set(np.array([0]), Q, 0.5)
+        in_policy_set(np.array([0]), unguarded(Q), 0.5)
     for safe in (np.array([True, True]), np.array([1])):
         with pytest.raises(ValueError, match=r"^safe must be a boolean mask of shape \(1,\), not"):
-            in_policy_set(np.array([0]), Q, 0.5, safe=safe)
+            in_policy_set(np.array([0]), unguarded(Q), 0.5, safe=safe)
     with pytest.raises(ValueError, match="'other' is not a valid Reading"):
-        in_policy_set(np.array([0]), Q, 0.5, safe=np.array([True]), reading="other")
+        in_policy_set(np.array([0]), unguarded(Q), 0.5, safe=np.array([True]), reading="other")

@@ -120,7 +120,7 @@ def test_frozen_lake_fails_as_often_as_predicted(epsilon: float, tmp_path: Path)
     critic = value_iteration(model, 1.0)
     recovery = recovery_policy(critic)
     table = FilterTable(allowed_actions(critic, epsilon), recovery)
-    save_filter(tmp_path / "lake.npz", table)
+    save_filter(table, tmp_path / "lake.npz")
     uniform = np.full((16, 4), 0.25)
     policy: NDArray[Any] = behavior_correction(uniform, critic, epsilon, recovery)
     predicted = evaluate_policy(model, policy, 1.0).V[0]
@@ -428,7 +428,7 @@ def test_the_spec_makes_the_wrapper_again(tmp_path: Path) -> None:
     assert remade(TabularCorrection(make("FrozenLake-v1"), table).spec).table is table
     keyed = TabularCorrection(lava(), table_of, key=minigrid_key)
     assert remade(keyed.spec).key is minigrid_key
-    save_filter(tmp_path / "lake.json", table)
+    save_filter(table, tmp_path / "lake.json")
     named = TabularCorrection(make("FrozenLake-v1"), str(tmp_path / "lake.json")).spec
     assert named is not None
     again = remade(gymnasium.envs.registration.EnvSpec.from_json(named.to_json())).table
@@ -452,7 +452,7 @@ def test_minari_records_every_info(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setitem(sys.modules, "jax", jax)
     monkeypatch.setitem(sys.modules, "jax.tree_util", jax.tree_util)
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    save_filter(tmp_path / "lake.npz", safety_filter(load_model("FrozenLake-v1")))
+    save_filter(safety_filter(load_model("FrozenLake-v1")), tmp_path / "lake.npz")
     env = TabularCorrection(make("FrozenLake-v1"), str(tmp_path / "lake.npz"))
     collector = minari.DataCollector(env, record_infos=True)
     for seed in range(3):

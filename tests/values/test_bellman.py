@@ -409,7 +409,9 @@ def test_policies_are_checked() -> None:
     exact[3, 1] = "half"
     with pytest.raises(ValueError, match="state 3, action 1: 'half' is not a probability"):
         evaluate_policy(model, exact)
-    with pytest.raises(ValueError, match=r"integer array \(4,\) or an array of probabilities"):
+    with pytest.raises(
+        ValueError, match=r"^policy must be integers \(4,\) or probabilities \(4, 2\)"
+    ):
         evaluate_policy(model, [0.5, 0.5, 0.5, 0.5])
 
 

@@ -40,6 +40,8 @@ SHIFTED_ITERATIONS = 8
 SWEEPS = 10
 WORTHWHILE = 100
 """So many times the sweeps that were made may be advised; what takes longer is no advice."""
+USEFUL = 0.01
+"""The greatest tolerance that is advised: wider bounds tell hardly anything."""
 EPSILON = 2.0**-52
 
 Solve = Callable[[Csr, Float, Float], Float | None]
@@ -154,7 +156,7 @@ def check_width(
         enough = _enough_sweeps(bounds, float(width[worst]), tolerance, gamma)
         if enough is not None:
             helps["max_iterations"] = f"raise max_iterations to {enough}"
-        if math.isfinite(width[worst]):
+        if width[worst] < USEFUL:
             helps["tolerance"] = f"accept tolerance={1.05 * width[worst]:.2g}"
         raise UndecidedError(
             f"after {bounds.iterations} sweeps the value of {name(worst)} is only known to lie in "

@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from numpy.typing import NDArray
 
 from deep.data import normalisation as module
 from deep.data.normalisation import (
     Normalisation,
+    TensorNormalisation,
     centre_and_scale,
     normalisation_of,
     normalisation_of_observations,
@@ -139,3 +141,25 @@ def test_what_is_normalised_by_its_own_has_mean_0_and_deviation_1() -> None:
     assert seen.observations.mean(axis=0) == pytest.approx([0, 0], abs=1e-5)
     assert seen.observations.std(axis=0) == pytest.approx([1, 1], abs=1e-5)
     assert (seen.actions.min(), seen.actions.max()) == pytest.approx((-1, 1), abs=1e-6)
+
+
+def test_tensors_are_normalised_as_arrays_are() -> None:
+    rng = np.random.default_rng(3)
+    units = [
+        Normalisation((0.5, -2.0), (0.1, 3.0), (1.0,), (2.0,), power)
+        for power in ((), (8.0, 1.0), (1.0, 2.5))
+    ]
+    raw = rng.normal(size=(3, 50, 2)).astype(np.float32)
+    raw[:, :3, 0] = np.nan, np.inf, -np.inf
+    action = rng.normal(size=(3, 50, 1)).astype(np.float32)
+    both = TensorNormalisation(units)
+    found = both.observation(torch.from_numpy(raw)).numpy()
+    for k, n in enumerate(units):
+        centre, scale = (
+            np.array(x, np.float32) for x in (n.observation_centre, n.observation_scale)
+        )
+        expected = (n.powered(raw[k]) - centre) / scale
+        assert np.allclose(found[k], expected, rtol=1e-5, equal_nan=True)
+    inner = both.action(torch.from_numpy(action))
+    assert np.allclose(inner.numpy(), (action - 1) / 2)
+    assert np.allclose(both.raw_action(inner).numpy(), action, atol=1e-6)

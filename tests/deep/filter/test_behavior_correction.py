@@ -20,8 +20,8 @@ from deep.data.normalisation import Normalisation, Ranges
 from deep.filter.behavior_correction import BehaviorCorrection, BehaviorCorrectionVector
 from deep.filter.onnx_export import export_onnx
 from deep.filter.safety_filter import SafetyFilter
-from deep.pretrain import DeaRrlAnnealed, DeaRrlAnnealedSettings, Sizes
-from deep.pretrain.trained_filter import extract_filter
+from deep.pretraining import DeaRrlAnnealed, DeaRrlAnnealedSettings, Sizes
+from deep.pretraining.trained_filter import trained_filter
 from deep.tasks import Brake, TaskEnv, TaskVectorEnv
 from deep.tasks.bounds import Bounds
 from tests.deep import filters
@@ -68,7 +68,7 @@ def test_the_filter_of_a_learner_computes_what_the_learner_does() -> None:
 
     learner = DeaRrlAnnealed(DeaRrlAnnealedSettings(), Sizes(2, 1), (3, 4))
     ranges = Ranges(actions=Bounds((-1.0,), (0.5,)), observations=Bounds.unit(2))
-    safety = extract_filter(learner, 4, 0.5, 0.75, Normalisation.identity(2, 1), ranges)
+    safety = trained_filter(learner, 4, 0.5, 0.75, Normalisation.identity(2, 1), ranges)
     observations = np.random.default_rng(0).uniform(-1, 1, (40, 2)).astype(np.float32)
     actions = np.random.default_rng(1).uniform(-1, 1, (40, 1)).astype(np.float32)
     assert (safety.actions, safety.observations) == ranges
@@ -81,7 +81,7 @@ def test_the_filter_of_a_learner_computes_what_the_learner_does() -> None:
             learner.recovery.mean_action(s)[1].numpy().clip(-1, 0.5), abs=1e-6
         )
     with pytest.raises(ValueError, match=r"seed 5 was not trained; there are \[3, 4\]"):
-        extract_filter(learner, 5, 0.5, 0.75, Normalisation.identity(2, 1), ranges)
+        trained_filter(learner, 5, 0.5, 0.75, Normalisation.identity(2, 1), ranges)
 
 
 def test_the_wrapper_executes_the_correction_and_reports_it() -> None:

@@ -466,7 +466,7 @@ def test_files_of_another_version_and_bounds_that_make_no_sense_are_refused(
 
 
 def test_ranges_are_those_of_the_data_and_stated_bounds_hold_them() -> None:
-    from tests.deep.pretrain.test_run import transitions  # actions from -1 to 1
+    from tests.deep.pretraining.test_run import transitions  # actions from -1 to 1
 
     data = transitions(np.random.default_rng(0).normal(size=(50, 2)))
     seen = Bounds.covered(data.observations)

@@ -11,7 +11,7 @@ import torch
 from deep.data.collect import collect, random_policy
 from deep.data.minibatches import BLOCK, Batches
 from deep.nn.networks import Critic, GaussianPolicy, StateValue, copy_slowly
-from deep.pretrain import FORMS, Sizes, build_learner
+from deep.pretraining import FORMS, Sizes, build_learner
 from deep.tasks import Brake
 
 CPU = torch.device("cpu")

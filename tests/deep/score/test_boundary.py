@@ -12,10 +12,10 @@ import pytest
 from matplotlib.figure import Figure
 
 from deep.data.collect import random_policy, towards_obstacle_policy
-from deep.pretrain import DeaRrlAnnealedSettings
+from deep.pretraining import DeaRrlAnnealedSettings
 from deep.score.boundary import (
-    LearnedGate,
-    OracleGate,
+    LearnedFilter,
+    OracleFilter,
     action_grid,
     box_points,
     closed_loop,
@@ -192,14 +192,14 @@ def test_navigations_oracle_never_fails(name: str) -> None:
     assert isinstance(task, Navigation)
     answer = exact_answer(task)
     rng = np.random.default_rng(0)
-    gate, starts = OracleGate(answer, task), safe_starts(answer, 500, rng)
+    scored, starts = OracleFilter(answer, task), safe_starts(answer, 500, rng)
     points = box_points(answer, 2000, 5, 0.05, rng)
-    score = score_boundary(critic_table(gate, points), 1.0, points)
+    score = score_boundary(critic_table(scored, points), 1.0, points)
     assert score.safe_called_dead == score.safe_actions_blocked == 0
     assert score.unsafe_actions_allowed == 0
     assert np.isnan(score.dead_called_safe)
     policy = towards_obstacle_policy(task)
-    assert closed_loop(task, gate, policy, starts, rng).failures == 0
+    assert closed_loop(task, scored, policy, starts, rng).failures == 0
     assert closed_loop(task, None, policy, starts, rng).failures == 500
 
 
@@ -213,15 +213,15 @@ def test_the_oracle_is_exact_and_never_fails(answer: ExactAnswer) -> None:
     rng = np.random.default_rng(0)
     points = box_points(answer, 2000, 33, 0.05, rng)
     assert isinstance(answer.task, Brake | DoubleIntegrator)
-    gate = OracleGate(answer, answer.task)
-    score = score_boundary(critic_table(gate, points), 1.0, points)
+    scored = OracleFilter(answer, answer.task)
+    score = score_boundary(critic_table(scored, points), 1.0, points)
     assert score.dead_called_safe == score.near_dead_called_safe == 0
     assert score.safe_actions_blocked == score.unsafe_actions_allowed == 0
     # Safe states whose safe actions all lie between those of the grid: a thin sliver.
     assert score.safe_called_dead < 0.01
     starts = safe_starts(answer, 1000, rng)
     for policy in (random_policy(answer.task), towards_obstacle_policy(answer.task)):
-        assert closed_loop(answer.task, gate, policy, starts, rng).failures == 0
+        assert closed_loop(answer.task, scored, policy, starts, rng).failures == 0
         assert closed_loop(answer.task, None, policy, starts, rng).failures > 500
 
 
@@ -252,8 +252,8 @@ def test_a_critic_of_distance_is_scored_as_by_hand() -> None:
     answer = exact_answer(Brake())
     points = box_points(answer, 4000, 5, 0.05, np.random.default_rng(1))
     # Q >= 1/2 iff the scaled distance is at most 0, distance <= 15, whatever the action.
-    gate = LearnedGate(Brake(), filters.linear_filter([-50.0, 0.0], 0.0, 0.0, -20.0))
-    score = score_boundary(critic_table(gate, points), 0.5, points)
+    scored = LearnedFilter(Brake(), filters.linear_filter([-50.0, 0.0], 0.0, 0.0, -20.0))
+    score = score_boundary(critic_table(scored, points), 0.5, points)
     assert score.dead_called_safe == 0  # the longest stopping distance is 12
     near = points.state[:, 0] <= 15
     assert score.safe_called_dead == (near & ~points.dead).sum() / (~points.dead).sum()
@@ -262,7 +262,7 @@ def test_a_critic_of_distance_is_scored_as_by_hand() -> None:
     # Full braking from more than 15 never fails, and that is what the filter does at 15.
     rng = np.random.default_rng(0)
     starts = np.array([[29.0, 8.0], [16.0, 2.0]])
-    loop = closed_loop(Brake(), gate, random_policy(Brake()), starts, rng)
+    loop = closed_loop(Brake(), scored, random_policy(Brake()), starts, rng)
     assert (loop.episodes, loop.failures) == (2, 0)
     assert 0 < loop.interventions < 1
 

@@ -14,7 +14,7 @@ from deep.cli.offline_data import OfflineData
 from deep.cli.pretrain import Pretrain
 from deep.cli.train import Train
 from deep.cli.train_offline import TrainOffline
-from deep.pretrain import (
+from deep.pretraining import (
     FORMS,
     DeaRrlAnnealedSettings,
     DearrlIqlSettings,
@@ -22,7 +22,7 @@ from deep.pretrain import (
     RrlMsdpSettings,
     RrlSettings,
 )
-from deep.pretrain.config import MethodChoice, PretrainConfig
+from deep.pretraining.config import MethodChoice, PretrainConfig
 from deep.study.jobs import StudyConfig, study_jobs
 from deep.study.saved_runs import METHODS
 from deep.study.schedule import Job

@@ -18,9 +18,9 @@ import deep.train.run
 from deep.data.formats import read_hdf5, write_hdf5
 from deep.filter.behavior_correction import BehaviorCorrection
 from deep.filter.task_policy import TrainedPolicy
-from deep.pretrain import DeaRrlAnnealedSettings, RrlSettings
-from deep.pretrain.config import PretrainConfig
-from deep.pretrain.run import pretrain
+from deep.pretraining import DeaRrlAnnealedSettings, RrlSettings
+from deep.pretraining.config import PretrainConfig
+from deep.pretraining.run import pretrain_in_folder
 from deep.tasks.bounds import Bounds
 from deep.tasks.gym import NO_RULES, GymVectorEnv, Rules
 from deep.tasks.vectorised import Fleet, evaluation_copies, make_vector_env
@@ -480,7 +480,7 @@ def test_one_unit_from_the_data_to_the_actuator(rail: str, tmp_path: Path) -> No
             of_log = PretrainConfig(
                 data=tmp_path / "log.hdf5", method=method, horizon=1, updates=30, seeds=(0,)
             )
-            (safety,) = pretrain(of_log, critics, quiet=True).filters
+            (safety,) = pretrain_in_folder(of_log, critics, quiet=True).filters
             wanted = Bounds((low,), (high,))
             assert safety.for_actions(wanted, "here").actions == wanted
             train(replace(tiny, safety=critics), behind, quiet=True)
@@ -531,7 +531,7 @@ def test_what_was_made_in_other_units_is_refused(tmp_path: Path) -> None:
             horizon=1,
             updates=3,
         )
-        pretrain(critics, tmp_path / "critics", quiet=True)
+        pretrain_in_folder(critics, tmp_path / "critics", quiet=True)
         kwargs |= {"low": -3.0, "high": 3.0}
         gymnasium.registry["test/Rail-v0"].kwargs |= kwargs
         refused = r"gym:test/Rail-v0: its actions lie in \(-3\) to \(3\), the filter was trained on"

@@ -7,11 +7,13 @@ import itertools
 import json
 import math
 import os
+import shutil
 import signal
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import h5py
 import numpy as np
 import pytest
 import torch
@@ -28,6 +30,7 @@ from deep.filter.task_policy import TrainedPolicy
 from deep.nn.losses import advantage_weighted_regression
 from deep.runs.checkpoint import load_checkpoint, save_checkpoint
 from deep.tasks import make_task
+from deep.tasks.gym import Rules
 from deep.tasks.task import Sizes
 from deep.train.episodes import run_episodes
 from deep.train.iql import Iql, IqlSettings
@@ -338,6 +341,29 @@ def test_the_saved_policy_is_the_trained_one(config: OfflineConfig, tmp_path: Pa
     with torch.no_grad():
         expected = learner.policy.mean_action(states)[1].numpy()
     assert policy.act(raw) == pytest.approx(expected, abs=1e-5)
+
+
+def test_the_files_costs_may_have_a_rule_of_their_own(
+    config: OfflineConfig, tmp_path: Path
+) -> None:
+    doubled = tmp_path / "doubled.hdf5"
+    shutil.copy(config.data, doubled)
+    with h5py.File(doubled, "r+") as file:
+        file["costs"][:] = 2 * file["costs"][:]
+    with pytest.raises(ValueError, match="--violation"):
+        train_offline(replace(config, data=doubled), tmp_path / "refused", quiet=True)
+    ruled = replace(config, data=doubled, data_violation="cost > 1")
+    train_offline(ruled, tmp_path / "ruled", quiet=True)
+    stored = json.loads((tmp_path / "ruled" / "config.json").read_text())["run"]
+    assert stored["data_violation"] == "cost > 1"
+    assert "rules" not in stored
+    ending = replace(ruled, task="gym:any", rules=Rules(termination_is_violation=True))
+    assert ending.environment_rules.violation is None
+    assert ending.violation_in_data == "cost > 1"
+    same = replace(config, task="gym:any", rules=Rules(violation="cost > 3"))
+    assert same.violation_in_data == same.environment_rules.violation == "cost > 3"
+    with pytest.raises(ValueError, match="rule"):
+        replace(config, data_violation="speed > 1")
 
 
 def test_what_a_run_learns_from(

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from deep.data.normalisation import Normalisation, centre_and_scale
-from deep.data.scaling import Scaling
+from deep.data.normalisation import Normalisation, TensorNormalisation, centre_and_scale
 from deep.train.noise import ActionNoise
 from deep.train.replay import Arrival, Replay
 
@@ -243,11 +242,11 @@ def test_each_seeds_scaling_is_its_own() -> None:
         Normalisation((100.0, 1.0), (4.0, 2.0), (0.0,), (1.0,)),
         Normalisation((0.0, 0.0), (0.5, 1.0), (0.5,), (2.0,)),
     ]
-    scaling = Scaling(units)
+    normalisation = TensorNormalisation(units)
     raw = torch.arange(8.0).view(2, 2, 2)
-    found = scaling.observation(raw)
+    found = normalisation.observation(raw)
     assert found[0].equal((raw[0] - torch.tensor([100.0, 1.0])) / torch.tensor([4.0, 2.0]))
     assert found[1].equal(raw[1] / torch.tensor([0.5, 1.0]))
     action = torch.tensor([[[0.5]], [[0.5]]])
-    assert scaling.action(action).flatten().tolist() == [0.5, 0.0]
-    assert scaling.raw_action(scaling.action(action)).equal(action)
+    assert normalisation.action(action).flatten().tolist() == [0.5, 0.0]
+    assert normalisation.raw_action(normalisation.action(action)).equal(action)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deep.pretrain import RrlSettings
+from deep.pretraining import RrlSettings
 from deep.tasks.vectorised import Fleet
 from deep.train.config import TrainConfig, train_config_to_json
 from deep.train.replay import Replay

@@ -15,7 +15,7 @@ import deep.train.run
 from deep.data.normalisation import Normalisation
 from deep.filter.safety_filter import SafetyFilter
 from deep.filter.task_policy import TrainedPolicy
-from deep.pretrain import RrlMsdpSettings, RrlSettings
+from deep.pretraining import RrlMsdpSettings, RrlSettings
 from deep.tasks import Brake
 from deep.train.config import TrainConfig
 from deep.train.episodes import run_episodes

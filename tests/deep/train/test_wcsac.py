@@ -15,8 +15,11 @@ import torch
 from torch import Tensor
 
 import deep.train.wcsac
-from deep.data.normalisation import Normalisation, normalisation_of_observations
-from deep.data.scaling import Scaling
+from deep.data.normalisation import (
+    Normalisation,
+    TensorNormalisation,
+    normalisation_of_observations,
+)
 from deep.runs.checkpoint import load_checkpoint, save_checkpoint
 from deep.tasks.task import Sizes
 from deep.train.config import (
@@ -340,10 +343,10 @@ def lidar_like(sharpness: float) -> Sequence[Normalisation]:
 def test_the_cost_critic_sees_closenesses_to_a_power() -> None:
     learner = Wcsac(replace(SMALL, sharpness=8.0), SIZES, (0, 1))
     raw = torch.tensor([[[-3.0, 0.5, 0.9]], [[-1.0, 0.0, 1.0]]])
-    standardised = Scaling(lidar_like(1.0)).observation(raw)
+    standardised = TensorNormalisation(lidar_like(1.0)).observation(raw)
     assert learner.view(standardised).equal(standardised)  # before it is told
     learner.look(lidar_like)
-    expected = Scaling(lidar_like(8.0)).observation(raw)
+    expected = TensorNormalisation(lidar_like(8.0)).observation(raw)
     assert learner.view(standardised).numpy() == pytest.approx(expected.numpy(), abs=1e-4)
     assert not learner.view(standardised)[..., 1:].allclose(standardised[..., 1:], atol=0.01)
     again = Wcsac(replace(SMALL, sharpness=8.0), SIZES, (0, 1))
@@ -355,8 +358,8 @@ def test_a_closeness_below_zero_counts_as_zero_to_any_power() -> None:
     learner = Wcsac(replace(SMALL, sharpness=2.5), SIZES, (0, 1))
     learner.look(lidar_like)
     raw = torch.tensor([[[-3.0, -0.2, 0.0]], [[-1.0, -1e-7, 0.5]]])
-    found = learner.view(Scaling(lidar_like(1.0)).observation(raw))
-    expected = Scaling(lidar_like(2.5)).observation(raw)
+    found = learner.view(TensorNormalisation(lidar_like(1.0)).observation(raw))
+    expected = TensorNormalisation(lidar_like(2.5)).observation(raw)
     assert found.numpy() == pytest.approx(expected.numpy(), abs=1e-4)
 
 

@@ -354,7 +354,7 @@ def test_more_iterations_are_advised_where_they_help(monkeypatch: pytest.MonkeyP
     for made in (50, 150):
         with pytest.raises(UndecidedError) as raised:
             value_iteration(model, 0.99, max_iterations=made)
-        assert set(raised.value.remedies) == {"exact", "max_iterations", "tolerance"}
+        assert set(raised.value.remedies) - {"tolerance"} == {"exact", "max_iterations"}
         advice = raised.value.remedies["max_iterations"]
         advised = int(advice.removeprefix("raise max_iterations to "))
         values = value_iteration(model, 0.99, max_iterations=advised)
@@ -365,6 +365,10 @@ def test_more_iterations_are_not_advised_where_they_may_not_help(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Without a discount bounds come to rest; with one they stay as wide as rounding makes them."""
+    with monkeypatch.context() as unaided, pytest.raises(UndecidedError) as raised:
+        unaided.setattr(enclosure, "_guess", lambda *_: None)
+        value_iteration(slow_chain(20), 1.0, max_iterations=300)
+    assert set(raised.value.remedies) == {"exact", "gamma_safe"}  # bounds too wide to be accepted
     with pytest.raises(UndecidedError) as raised:
         value_iteration(slow_chain(20), 1.0, max_iterations=300)
     assert set(raised.value.remedies) == {"exact", "gamma_safe", "tolerance"}
@@ -376,4 +380,4 @@ def test_more_iterations_are_not_advised_where_they_may_not_help(
         monkeypatch.setattr(enclosure, "_guess", lambda *_: None)
         with pytest.raises(UndecidedError) as raised:
             value_iteration(walk(12, 0.5), gamma, tolerance=tolerance, max_iterations=100)
-        assert set(raised.value.remedies) == {"exact", "tolerance"}
+        assert set(raised.value.remedies) - {"tolerance"} == {"exact"}

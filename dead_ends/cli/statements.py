@@ -1,4 +1,4 @@
-"""``verify FILE``: which statements of the paper hold on a model, with the numbers."""
+"""``statements FILE``: which statements of the paper hold on a model, with the numbers."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from dead_ends.cli.source import (
     add_source_arguments,
     parse_threshold,
     print_rows,
+    read_policy,
     read_source,
 )
 
@@ -43,12 +44,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     model = read_source(arguments)
 
-    from dead_ends.paper import verify_report
+    from dead_ends.paper import verify_statements
     from dead_ends.values.discount import read_discount
 
-    policy = None if arguments.policy is None else _read_policy(arguments.policy)
+    policy = None if arguments.policy is None else read_policy(arguments.policy)
     gamma, _ = read_discount(arguments.gamma_safe, arguments.exact)
-    found = verify_report(model, gamma, arguments.epsilon_safe, policy)
+    found = verify_statements(model, gamma, arguments.epsilon_safe, policy)
     print(f"{arguments.file}: {model!r}")
     print_rows(_rows(found, arguments.policy))
     for statement in found.statements:
@@ -56,15 +57,6 @@ def run(arguments: argparse.Namespace) -> int:
         for text in filter(None, (statement.claim, statement.detail)):
             print(textwrap.fill(text, 92, initial_indent="       ", subsequent_indent="       "))
     return 0
-
-
-def _read_policy(path: str) -> Any:
-    import numpy as np
-
-    try:
-        return np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise ValueError(f"{path}: not a policy in NumPy's .npy format: {error}") from None
 
 
 def _rows(found: Verification, policy: str | None) -> list[tuple[str, Any]]:

@@ -11,8 +11,8 @@ import pytest
 
 from deep.data.transitions import Transitions
 from deep.filter.safety_filter import SafetyFilter
-from deep.pretrain import health
-from deep.pretrain.health import Fault, check_filter, read_health, write_health
+from deep.pretraining import health
+from deep.pretraining.health import Fault, check_filter, read_health, write_health
 from deep.tasks.bounds import Bounds
 from tests.deep.filters import linear_filter
 

@@ -11,22 +11,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
 from deep.data.formats import read_hdf5
 from deep.data.minibatches import Batches
 from deep.data.normalisation import Normalisation, Ranges, normalisation_of, normalise, ranges_of
 from deep.data.transitions import Transitions
 from deep.filter.safety_filter import SafetyFilter
-from deep.pretrain import Learner, Sizes, build_learner
-from deep.pretrain.config import PretrainConfig, config_from_json, config_to_json, resolve
-from deep.pretrain.health import FilterHealth, check_filter, check_losses, write_health
-from deep.pretrain.trained_filter import extract_filter
+from deep.pretraining import Learner
+from deep.pretraining.algorithm import (
+    PretrainResult,
+    begin,
+    check_device,
+    filters_of,
+    make_updates,
+)
+from deep.pretraining.config import PretrainConfig, config_from_json, config_to_json, resolve
+from deep.pretraining.health import check_filter, check_losses, write_health
 from deep.runs.checkpoint import load_checkpoint, save_checkpoint
 from deep.runs.folder import (
     CsvLog,
@@ -41,30 +46,16 @@ from deep.tasks import Brake, DoubleIntegrator, Task, make_task
 from deep.tasks.bounds import Bounds
 
 __all__ = [
-    "PretrainResult",
     "load_data",
     "load_raw",
     "open_run",
-    "pretrain",
+    "pretrain_in_folder",
     "read_run",
     "task_horizon",
 ]
 
 COLUMNS = ("update", "seed", "critic_loss", "value_loss", "recovery_loss", "mean_q", "seconds")
 DATA_STREAM = 7
-
-
-@dataclass(frozen=True)
-class PretrainResult:
-    """What a run gives.
-
-    Attributes:
-        filters: one a seed, in the order of the seeds.
-        health: what each seed's filter does with the log that it was trained on.
-    """
-
-    filters: tuple[SafetyFilter, ...]
-    health: tuple[FilterHealth, ...]
 
 
 def task_horizon(task: Task) -> int | None:
@@ -162,7 +153,9 @@ def _collected(task: Task, config: PretrainConfig, seed: int) -> tuple[Transitio
     return data, found
 
 
-def pretrain(config: PretrainConfig, folder: Path, *, quiet: bool = False) -> PretrainResult:
+def pretrain_in_folder(
+    config: PretrainConfig, folder: Path, *, quiet: bool = False
+) -> PretrainResult:
     """Train, or go on training, in this folder.
 
     A filter of no use is a result like any other: its ``health`` says so.
@@ -195,23 +188,13 @@ def _pretrain(config: PretrainConfig, folder: Path, quiet: bool) -> PretrainResu
 
 def _learned(config: PretrainConfig, folder: Path, quiet: bool) -> tuple[SafetyFilter, ...]:
     """The filters of a run that has been trained to its end."""
-    assert config.threshold is not None
-    assert config.gamma_safe is not None
-    if config.device == "cuda" and not torch.cuda.is_available():
-        raise ValueError("device cuda: this machine or this build of torch has no CUDA device")
+    check_device(config.device)
     data, normalisations, ranges = load_data(config)
-    device = torch.device(config.device)
-    sizes = Sizes(data[0].observations.shape[1], data[0].actions.shape[1])
-    learner = build_learner(config.method, sizes, config.seeds).to(device)
-    open_run(config, folder)  # only now: everything fits
-    settings = config.method
-    batches = Batches(data, config.seeds, settings.batch_size, settings.violation_share, device)
+    learner, batches = begin(config, data)
     del data  # the batches have their own copy
+    open_run(config, folder)  # only now: everything fits
     _train(learner, batches, config, folder, quiet)
-    return tuple(
-        extract_filter(learner, seed, config.threshold, config.gamma_safe, normalisation, own)
-        for seed, normalisation, own in zip(config.seeds, normalisations, ranges, strict=True)
-    )
+    return filters_of(learner, config, normalisations, ranges)
 
 
 def _logs(config: PretrainConfig) -> Iterator[Transitions]:
@@ -232,24 +215,19 @@ def _train(
     checkpoint = folder / "checkpoint.safetensors"
     done = load_checkpoint(learner, checkpoint)[0] if checkpoint.exists() else 0
     log = CsvLog(folder / "progress.csv", COLUMNS, done)
-    begin = time.perf_counter()
-    bar = tqdm(total=config.updates, initial=done, desc=learner.name, unit="", disable=quiet)
-    with bar, InterruptAfterUpdate() as interrupt:
-        while done < config.updates:
-            batch = batches.get(done)
-            losses = learner.update(batch, done / config.updates)
-            done += 1
-            bar.update()
+    started = time.perf_counter()
+    with InterruptAfterUpdate() as interrupt:
+        for number, batch, losses in make_updates(learner, batches, config.updates, done, quiet):
             stop = interrupt.asked  # read once: it may be set at any moment
-            last = stop or done == config.updates
-            if done % config.log_every == 0 or last:
-                check_losses(learner, losses, done)
+            last = stop or number == config.updates
+            if number % config.log_every == 0 or last:
+                check_losses(learner, losses, number)
                 with torch.no_grad():
                     q = learner.critic.worst(batch.observation, batch.action).mean(dim=1)
-                log.write(_log_rows(learner, done, (*losses, q), time.perf_counter() - begin))
-            if done % config.checkpoint_every == 0 or last:
-                check_losses(learner, losses, done)
-                save_checkpoint(learner, done, checkpoint)
+                log.write(_log_rows(learner, number, (*losses, q), time.perf_counter() - started))
+            if number % config.checkpoint_every == 0 or last:
+                check_losses(learner, losses, number)
+                save_checkpoint(learner, number, checkpoint)
             if stop:
                 raise KeyboardInterrupt
 

@@ -1,6 +1,6 @@
 """DEARRL (IQL): DEA-RRL's critic, with the recovery policy extracted from data actions.
 
-The critic is that of :mod:`deep.pretrain.dea_rrl`. The policy is fitted by
+The critic is that of :mod:`deep.pretraining.dea_rrl`. The policy is fitted by
 advantage-weighted regression, so it only ever proposes what the data show: where no data
 action is safe it cannot be safe either (the paper's ablation).
 """
@@ -17,7 +17,7 @@ import torch
 from deep.data.minibatches import Batch
 from deep.nn.losses import advantage_weighted_regression, q_loss, q_target, v_loss
 from deep.nn.networks import Critic, GaussianPolicy, StateValue, adam, copy_slowly, minimise
-from deep.pretrain.learner import Form, Learner, Losses, Settings
+from deep.pretraining.learner import Form, Learner, Losses, Settings
 from deep.tasks.task import Sizes
 
 __all__ = ["FORM", "DearrlIql", "DearrlIqlSettings"]

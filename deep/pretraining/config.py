@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, Union
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar, Union
 
 import numpy as np
 import tyro
@@ -18,13 +18,23 @@ from deep.data.collect import (
     uniform_starts,
 )
 from deep.data.transitions import Transitions
-from deep.pretrain import DEFAULT, FORMS, Settings, form_of
+from deep.pretraining import DEFAULT, FORMS, Settings, form_of
 from deep.runs.folder import from_plain
 from deep.tasks import Task
 from deep.tasks.bounds import Bounds
 from deep.tasks.violation import check_rule
 
-__all__ = ["MethodChoice", "Mix", "PretrainConfig", "config_from_json", "config_to_json", "resolve"]
+__all__ = [
+    "MethodChoice",
+    "Mix",
+    "PretrainConfig",
+    "Training",
+    "config_from_json",
+    "config_to_json",
+    "resolve",
+]
+
+AnyTraining = TypeVar("AnyTraining", bound="Training")
 
 if TYPE_CHECKING:
     MethodChoice: TypeAlias = Settings
@@ -73,19 +83,13 @@ class Mix:
 
 
 @dataclass(frozen=True)
-class PretrainConfig:
-    """One run of Algorithm 1.
+class Training:
+    """What Algorithm 1 learns, and for how long, whatever the data.
 
     Attributes:
-        task: the name of a task, from which every seed collects its own data.
-        data: a file of transitions for all seeds, instead of a task.
-        cut: end the file's episodes at every violation, see
-            :func:`deep.data.transitions.cut_at_violation`.
-        violation: which of the file's costs are one, as in "cost > 0.5"; None: they are 0 or 1.
         method: the form of Algorithm 1, with its settings.
         seeds: one critic and recovery policy each, trained side by side.
         updates: minibatch updates.
-        mix: of the data that are collected.
         horizon: H, the most steps from a dead-end to the violation; None: the task's own,
             where it has an exact answer.
         gamma_safe: None: what the form makes of H, or the settings' where it makes nothing.
@@ -93,22 +97,16 @@ class PretrainConfig:
             coordinates that stay in [0, 1] (lidars), before it normalises them: 1 leaves
             them; a high one spreads the last centimetres before an obstacle.
         threshold: None: by the form's rule, gamma_safe^(H + 1/2) or gamma_safe^H / 4.
-        action_low: the environment's lower action bounds, one number a coordinate, for a
-            file whose actions do not show them; None: the least in the file.
+        action_low: the environment's lower action bounds, one number a coordinate, for
+            data whose actions do not show them; None: the least in the data.
         action_high: the upper ones, likewise.
         device: cpu or cuda.
-        log_every: updates between two rows of progress.csv.
-        checkpoint_every: updates between two checkpoints.
+        log_every: updates between two looks at the losses, two rows of progress.csv.
     """
 
-    task: str | None = None
-    data: Path | None = None
-    cut: bool = False
-    violation: str | None = None
     method: MethodChoice = field(default_factory=DEFAULT.settings)
     seeds: tuple[int, ...] = (0,)
     updates: int = 4000
-    mix: Mix = field(default_factory=Mix)
     horizon: int | None = None
     gamma_safe: float | None = None
     sharpness: float = 1.0
@@ -117,30 +115,16 @@ class PretrainConfig:
     action_high: tuple[float, ...] | None = None
     device: str = "cpu"
     log_every: int = 250
-    checkpoint_every: int = 500
 
     def __post_init__(self) -> None:
-        if (self.task is None) == (self.data is None):
-            raise ValueError("give either a task or a data file")
-        if self.task is not None and self.task.startswith(("real:", "gym:")):
-            raise ValueError(
-                f"{self.task}: pretraining collects from this project's own tasks only; make a "
-                "file with collect or offline-data, and give it as data"
-            )
-        check_rule(self.violation)
-        if self.data is None and (self.cut or self.violation is not None):
-            raise ValueError("cut and violation are of a data file: a task ends at violations")
         if self.device not in ("cpu", "cuda"):
             raise ValueError(f"device must be cpu or cuda, not {self.device!r}")
         if self.sharpness < 1:
             raise ValueError(f"sharpness must be at least 1, not {self.sharpness}")
-        for name in ("updates", "log_every", "checkpoint_every"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}")
+        for name in ("updates", "log_every"):
+            _at_least_one(name, getattr(self, name))
         if (self.action_low is None) != (self.action_high is None):
             raise ValueError("give both action_low and action_high, or neither")
-        if self.task is not None and self.action_low is not None:
-            raise ValueError("action_low and action_high go with a data file: a task knows them")
         _ = self.action_bounds
 
     @property
@@ -151,7 +135,50 @@ class PretrainConfig:
         return Bounds(self.action_low, self.action_high)
 
 
-def resolve(config: PretrainConfig, horizon: int | None) -> PretrainConfig:
+@dataclass(frozen=True)
+class PretrainConfig(Training):
+    """One run of Algorithm 1 in a folder: what is learned, and from which data.
+
+    Attributes:
+        task: the name of a task, from which every seed collects its own data.
+        data: a file of transitions for all seeds, instead of a task.
+        cut: end the file's episodes at every violation, see
+            :func:`deep.data.transitions.cut_at_violation`.
+        violation: which of the file's costs are one, as in "cost > 0.5"; None: they are 0 or 1.
+        mix: of the data that are collected.
+        checkpoint_every: updates between two checkpoints.
+    """
+
+    task: str | None = None
+    data: Path | None = None
+    cut: bool = False
+    violation: str | None = None
+    mix: Mix = field(default_factory=Mix)
+    checkpoint_every: int = 500
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.task is None) == (self.data is None):
+            raise ValueError("give either a task or a data file")
+        if self.task is not None and self.task.startswith(("real:", "gym:")):
+            raise ValueError(
+                f"{self.task}: pretraining collects from this project's own tasks only; make a "
+                "file with collect or offline-data, and give it as data"
+            )
+        check_rule(self.violation)
+        if self.data is None and (self.cut or self.violation is not None):
+            raise ValueError("cut and violation are of a data file: a task ends at violations")
+        if self.task is not None and self.action_low is not None:
+            raise ValueError("action_low and action_high go with a data file: a task knows them")
+        _at_least_one("checkpoint_every", self.checkpoint_every)
+
+
+def _at_least_one(name: str, number: int) -> None:
+    if number < 1:
+        raise ValueError(f"{name} must be at least 1, not {number}")
+
+
+def resolve(config: AnyTraining, horizon: int | None = None) -> AnyTraining:
     """The same run with every number filled in; ``horizon`` is the task's, if known.
 
     Raises:

@@ -11,10 +11,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from dead_ends import SafeMDP, evaluate_policy, expectile_iteration, value_iteration
+from dead_ends import SafeMDP, evaluate_policy, value_iteration
+from dead_ends.paper import expectile_iteration
 from deep.data.minibatches import Batches
 from deep.data.transitions import Transitions
-from deep.pretrain import (
+from deep.pretraining import (
     DeaRrl,
     DeaRrlAnnealed,
     DeaRrlAnnealedSettings,

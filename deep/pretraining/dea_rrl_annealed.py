@@ -1,6 +1,6 @@
 """DEA-RRL (annealed): this project's recipe, Algorithm 1 with its expectile driven to 0.
 
-What differs from :mod:`deep.pretrain.dea_rrl`, and why:
+What differs from :mod:`deep.pretraining.dea_rrl`, and why:
 
 * the expectile falls geometrically from 0.3 to ``final_expectile``, so that the fixed point
   tends to Q_c* (over data actions) while early training is as stable as the paper's;
@@ -27,7 +27,7 @@ from deep.data.minibatches import Batch
 from deep.filter.thresholds import discount_from_horizon, low_threshold
 from deep.nn.losses import advantage_policy_gradient, cross_entropy_q_loss, q_target, v_loss
 from deep.nn.networks import Critic, GaussianPolicy, StateValue, adam, copy_slowly, minimise
-from deep.pretrain.learner import Form, Learner, Losses, Settings
+from deep.pretraining.learner import Form, Learner, Losses, Settings
 from deep.tasks.task import Sizes
 
 __all__ = ["FORM", "DeaRrlAnnealed", "DeaRrlAnnealedSettings"]

@@ -16,7 +16,7 @@ import torch
 from deep.data.minibatches import Batch
 from deep.nn.losses import q_target, recovery_objective, safety_critic_loss
 from deep.nn.networks import Critic, GaussianPolicy, adam, copy_slowly, minimise
-from deep.pretrain.learner import Form, Learner, Losses, Settings
+from deep.pretraining.learner import Form, Learner, Losses, Settings
 from deep.tasks.task import Sizes
 
 __all__ = ["FORM", "RrlMsdp", "RrlMsdpSettings"]

@@ -26,7 +26,7 @@ from deep.data.normalisation import Normalisation, normalisation_of, normalise
 from deep.data.transitions import Transitions
 from deep.filter.safety_filter import SafetyFilter
 from deep.filter.thresholds import discount_from_horizon, low_threshold, paper_threshold
-from deep.pretrain import (
+from deep.pretraining import (
     FORMS,
     DeaRrlAnnealedSettings,
     DeaRrlSettings,
@@ -36,10 +36,10 @@ from deep.pretrain import (
     build_learner,
     form_of,
 )
-from deep.pretrain.config import Mix, PretrainConfig, config_from_json, config_to_json, resolve
-from deep.pretrain.health import Fault, check_losses, read_health
-from deep.pretrain.learner import Losses
-from deep.pretrain.run import DATA_STREAM, pretrain, read_run
+from deep.pretraining.config import Mix, PretrainConfig, config_from_json, config_to_json, resolve
+from deep.pretraining.health import Fault, check_losses, read_health
+from deep.pretraining.learner import Losses
+from deep.pretraining.run import DATA_STREAM, pretrain_in_folder, read_run
 from deep.runs.checkpoint import load_checkpoint, save_checkpoint
 from deep.runs.forms import FORM_ROWS
 from deep.tasks import make_task
@@ -67,7 +67,7 @@ def progress(folder: Path) -> list[dict[str, str]]:
 
 
 def test_a_run_leaves_everything_that_is_needed(tmp_path: Path) -> None:
-    result = pretrain(TINY, tmp_path / "run", quiet=True)
+    result = pretrain_in_folder(TINY, tmp_path / "run", quiet=True)
     config = json.loads((tmp_path / "run" / "config.json").read_text())
     assert config["run"]["gamma_safe"] == 0.75
     assert config["run"]["threshold"] == 0.75**3 / 4
@@ -88,18 +88,18 @@ def test_a_run_leaves_everything_that_is_needed(tmp_path: Path) -> None:
 
 
 def test_a_finished_run_is_not_trained_again(tmp_path: Path) -> None:
-    pretrain(TINY, tmp_path / "run", quiet=True)
+    pretrain_in_folder(TINY, tmp_path / "run", quiet=True)
     before = filter_bytes(tmp_path / "run")
     stamp = (tmp_path / "run" / "checkpoint.safetensors").stat().st_mtime_ns
-    pretrain(TINY, tmp_path / "run", quiet=True)
+    pretrain_in_folder(TINY, tmp_path / "run", quiet=True)
     assert filter_bytes(tmp_path / "run") == before
     assert (tmp_path / "run" / "checkpoint.safetensors").stat().st_mtime_ns == stamp
 
 
 def test_another_run_in_the_same_folder_is_refused(tmp_path: Path) -> None:
-    pretrain(TINY, tmp_path / "run", quiet=True)
+    pretrain_in_folder(TINY, tmp_path / "run", quiet=True)
     with pytest.raises(ValueError, match="holds a run with another configuration"):
-        pretrain(replace(TINY, updates=41), tmp_path / "run", quiet=True)
+        pretrain_in_folder(replace(TINY, updates=41), tmp_path / "run", quiet=True)
     with pytest.raises(ValueError, match="there is no run here"):
         read_run(tmp_path)
 
@@ -107,18 +107,18 @@ def test_another_run_in_the_same_folder_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("method", FORMS)
 def test_checkpoints_hold_the_whole_state(method: str, tmp_path: Path) -> None:
     config = replace(TINY, method=FORMS[method].settings(**SMALL))
-    pretrain(config, tmp_path / "whole", quiet=True)
+    pretrain_in_folder(config, tmp_path / "whole", quiet=True)
     # The same run, stopped after 15 updates: its checkpoint, and a half-written log.
     learner = build_learner(resolve(config, 3).method, Sizes(2, 1), config.seeds)
     stopped = tmp_path / "stopped"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deep.pretrain.run.save_checkpoint", _stop_after_saving)
+        patch.setattr("deep.pretraining.run.save_checkpoint", _stop_after_saving)
         with pytest.raises(_Stopped):
-            pretrain(config, stopped, quiet=True)
+            pretrain_in_folder(config, stopped, quiet=True)
     assert load_checkpoint(learner, stopped / "checkpoint.safetensors") == (15, "")
     with (stopped / "progress.csv").open("a") as file:
         file.write("20,0,0.1,0.1,0.1,0.1,9\n20,3,0.")
-    pretrain(config, stopped, quiet=True)
+    pretrain_in_folder(config, stopped, quiet=True)
     assert filter_bytes(stopped) == filter_bytes(tmp_path / "whole")
     assert progress(stopped) == progress(tmp_path / "whole")
 
@@ -162,7 +162,7 @@ def start(folder: Path) -> subprocess.Popen[str]:
 def test_a_run_that_is_killed_and_interrupted_ends_as_if_nothing_had_happened(
     tmp_path: Path,
 ) -> None:
-    pretrain(FROM_COMMAND, tmp_path / "whole", quiet=True)
+    pretrain_in_folder(FROM_COMMAND, tmp_path / "whole", quiet=True)
     folder = tmp_path / "killed"
     process = start(folder)
     process.kill()
@@ -174,7 +174,7 @@ def test_a_run_that_is_killed_and_interrupted_ends_as_if_nothing_had_happened(
     assert "deep: interrupted; the same command goes on from here" in errors
     rows = progress(folder)
     assert 0 < int(rows[-1]["update"]) < 600  # saved where it was, and not finished
-    pretrain(FROM_COMMAND, folder, quiet=True)
+    pretrain_in_folder(FROM_COMMAND, folder, quiet=True)
     assert filter_bytes(folder) == filter_bytes(tmp_path / "whole")
     logged = [row for row in progress(folder) if int(row["update"]) % 50 == 0]
     assert logged == progress(tmp_path / "whole")
@@ -183,9 +183,9 @@ def test_a_run_that_is_killed_and_interrupted_ends_as_if_nothing_had_happened(
 def test_a_loss_that_is_no_number_stops_the_run_and_keeps_the_checkpoint(tmp_path: Path) -> None:
     config = replace(TINY, updates=30, checkpoint_every=5)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deep.pretrain.run.save_checkpoint", _stop_after_saving)
+        patch.setattr("deep.pretraining.run.save_checkpoint", _stop_after_saving)
         with pytest.raises(_Stopped):
-            pretrain(config, tmp_path / "run", quiet=True)
+            pretrain_in_folder(config, tmp_path / "run", quiet=True)
     path = tmp_path / "run" / "checkpoint.safetensors"
     learner = build_learner(resolve(config, 3).method, Sizes(2, 1), config.seeds)
     load_checkpoint(learner, path)
@@ -194,7 +194,7 @@ def test_a_loss_that_is_no_number_stops_the_run_and_keeps_the_checkpoint(tmp_pat
     save_checkpoint(learner, 5, path)
     broken = path.read_bytes()
     with pytest.raises(FloatingPointError, match="update 10: the critic loss of seed 3 is nan"):
-        pretrain(config, tmp_path / "run", quiet=True)
+        pretrain_in_folder(config, tmp_path / "run", quiet=True)
     assert path.read_bytes() == broken
 
 
@@ -292,7 +292,7 @@ def test_bad_settings_are_refused(message: str) -> None:
 def test_a_missing_cuda_device_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     with pytest.raises(ValueError, match="device cuda: this machine or this build"):
-        pretrain(replace(TINY, device="cuda"), tmp_path / "run", quiet=True)
+        pretrain_in_folder(replace(TINY, device="cuda"), tmp_path / "run", quiet=True)
 
 
 def test_the_schedules_of_the_recipe() -> None:
@@ -335,14 +335,14 @@ def test_data_from_a_file_are_normalised_and_their_change_is_noticed(tmp_path: P
     assert units.action_centre == pytest.approx([-1.0], abs=0.05)
     assert units.action_scale == pytest.approx([4.0], abs=0.05)
     config = replace(TINY, task=None, data=tmp_path / "d.hdf5", horizon=3)
-    safety = pretrain(config, tmp_path / "run", quiet=True).filters[0]
+    safety = pretrain_in_folder(config, tmp_path / "run", quiet=True).filters[0]
     assert safety.normalisation == units
     assert -5.05 <= safety.recovery_action(data.observations).min()
     write_hdf5(scaled(data), tmp_path / "d.hdf5")
     with pytest.raises(ValueError, match="the data have changed since the run began"):
         read_run(tmp_path / "run")
     with pytest.raises(ValueError, match="the data have changed since the run began"):
-        pretrain(config, tmp_path / "run", quiet=True)
+        pretrain_in_folder(config, tmp_path / "run", quiet=True)
 
 
 def transitions(observations: np.ndarray) -> Transitions:
@@ -396,7 +396,7 @@ def test_actions_fill_their_range_and_one_that_never_changes_is_only_centred() -
 
 
 def test_scaled_tasks_keep_their_units(tmp_path: Path) -> None:
-    for safety in pretrain(TINY, tmp_path / "run", quiet=True).filters:
+    for safety in pretrain_in_folder(TINY, tmp_path / "run", quiet=True).filters:
         assert safety.normalisation == Normalisation.identity(2, 1)
 
 
@@ -413,8 +413,8 @@ def test_each_seed_sees_its_own_data_normalised(tmp_path: Path) -> None:
         return Batches(data, *rest)  # type: ignore[arg-type]  # passed through
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deep.pretrain.run.Batches", spy)
-        filters = pretrain(SENSORS, tmp_path / "run", quiet=True).filters
+        patch.setattr("deep.pretraining.algorithm.Batches", spy)
+        filters = pretrain_in_folder(SENSORS, tmp_path / "run", quiet=True).filters
     assert (
         filters[0].normalisation.observation_centre != filters[1].normalisation.observation_centre
     )
@@ -434,7 +434,9 @@ def test_each_seed_sees_its_own_data_normalised(tmp_path: Path) -> None:
         varies = np.array(found.observation_scale) != 1.0
         assert varies.sum() == 39  # of 44: a robot in the plane neither falls nor rolls
         assert data.observations[:, varies].std(axis=0) == pytest.approx(1, abs=1e-4)
-    alone = pretrain(replace(SENSORS, seeds=(3,)), tmp_path / "alone", quiet=True).filters[0]
+    alone = pretrain_in_folder(
+        replace(SENSORS, seeds=(3,)), tmp_path / "alone", quiet=True
+    ).filters[0]
     beside = filters[1].q(raw.observations, raw.actions)
     assert alone.q(raw.observations, raw.actions) == pytest.approx(beside, abs=1e-4)
 
@@ -455,7 +457,7 @@ def test_runs_of_sensors_go_on_where_they_stopped(source: str, tmp_path: Path) -
     whole, stopped = tmp_path / "whole", tmp_path / "stopped"
     assert main(run(str(whole))) == 0
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deep.pretrain.run.save_checkpoint", _stop_after_saving)
+        patch.setattr("deep.pretraining.run.save_checkpoint", _stop_after_saving)
         with pytest.raises(_Stopped):
             main(run(str(stopped)))
     assert not (stopped / "filters").exists()
@@ -472,7 +474,7 @@ def test_data_are_not_held_many_times_over(tmp_path: Path) -> None:
     del data
     config = replace(TINY, task=None, data=path, horizon=30, seeds=(0, 1, 2), updates=1)
     tracemalloc.start()
-    pretrain(config, tmp_path / "run", quiet=True)
+    pretrain_in_folder(config, tmp_path / "run", quiet=True)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     # As read and as checked, as given and normalised, normalised and as tensors: two at once.
@@ -554,15 +556,15 @@ def test_a_file_can_be_given_the_environments_action_bounds(tmp_path: Path) -> N
     data = tmp_path / "data.hdf5"
     write_hdf5(transitions(np.random.default_rng(0).normal(size=(60, 2))), data)
     seen = replace(TINY, task=None, data=data, horizon=3, updates=1)
-    (safety, _) = pretrain(seen, tmp_path / "seen", quiet=True).filters
+    (safety, _) = pretrain_in_folder(seen, tmp_path / "seen", quiet=True).filters
     assert safety.actions == Bounds.unit(1)
     stated = replace(seen, action_low=(-4.0,), action_high=(1.0,))
-    (safety, _) = pretrain(stated, tmp_path / "stated", quiet=True).filters
+    (safety, _) = pretrain_in_folder(stated, tmp_path / "stated", quiet=True).filters
     assert safety.actions == Bounds((-4.0,), (1.0,))
     assert read_run(tmp_path / "stated").action_bounds == safety.actions
     narrow = replace(seen, action_low=(0.0,), action_high=(1.0,))
     with pytest.raises(ValueError, match=r"data.hdf5: actions: row 0 is \(-1\), outside of their"):
-        pretrain(narrow, tmp_path / "narrow", quiet=True)
+        pretrain_in_folder(narrow, tmp_path / "narrow", quiet=True)
     assert not (tmp_path / "narrow").exists()
     for bounds, message in (
         ({"action_low": (0.0,)}, "give both action_low and action_high, or neither"),
@@ -598,7 +600,7 @@ def test_closenesses_are_sharpened_before_they_are_normalised(tmp_path: Path) ->
     config = replace(
         TINY, task=None, data=tmp_path / "data.hdf5", horizon=5, sharpness=8.0, updates=2
     )
-    safety = pretrain(config, tmp_path / "run", quiet=True).filters[0]
+    safety = pretrain_in_folder(config, tmp_path / "run", quiet=True).filters[0]
     assert safety.normalisation.observation_power == (8.0, 1.0, 1.0, 1.0, 1.0)
     with pytest.raises(ValueError, match="sharpness must be at least 1, not 0.5"):
         replace(config, sharpness=0.5)

@@ -8,12 +8,12 @@ from torch import Tensor
 
 from deep.data.normalisation import Normalisation, Ranges
 from deep.filter.safety_filter import SafetyFilter
-from deep.pretrain.learner import Learner
+from deep.pretraining.learner import Learner
 
-__all__ = ["extract_filter"]
+__all__ = ["trained_filter"]
 
 
-def extract_filter(
+def trained_filter(
     learner: Learner,
     seed: int,
     threshold: float,

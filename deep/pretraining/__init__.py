@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from deep.pretrain import dea_rrl, dea_rrl_annealed, dearrl_iql, rrl, rrl_msdp
-from deep.pretrain.dea_rrl import DeaRrl, DeaRrlSettings
-from deep.pretrain.dea_rrl_annealed import DeaRrlAnnealed, DeaRrlAnnealedSettings
-from deep.pretrain.dearrl_iql import DearrlIql, DearrlIqlSettings
-from deep.pretrain.learner import Form, Learner, Losses, Settings
-from deep.pretrain.rrl import Rrl, RrlSettings, TaskPolicy, uniform_task_policy
-from deep.pretrain.rrl_msdp import RrlMsdp, RrlMsdpSettings
+from deep.pretraining import dea_rrl, dea_rrl_annealed, dearrl_iql, rrl, rrl_msdp
+from deep.pretraining.dea_rrl import DeaRrl, DeaRrlSettings
+from deep.pretraining.dea_rrl_annealed import DeaRrlAnnealed, DeaRrlAnnealedSettings
+from deep.pretraining.dearrl_iql import DearrlIql, DearrlIqlSettings
+from deep.pretraining.learner import Form, Learner, Losses, Settings
+from deep.pretraining.rrl import Rrl, RrlSettings, TaskPolicy, uniform_task_policy
+from deep.pretraining.rrl_msdp import RrlMsdp, RrlMsdpSettings
 from deep.tasks.task import Sizes
 
 __all__ = [

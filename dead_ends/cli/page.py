@@ -1,16 +1,12 @@
-"""``report FILE --out PAGE``: one self-contained page, to look at in a browser."""
+"""``page FILE --out PAGE``: one self-contained page, to look at in a browser."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from dead_ends.cli.output import add_output_argument, check_output
-from dead_ends.cli.source import add_source_arguments, read_source
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from dead_ends.cli.source import add_source_arguments, read_policy, read_source
 
 SUMMARY = "write a page that shows labels, witnesses and what critics block"
 
@@ -29,28 +25,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from dead_ends.draw.page import report_page
+    from dead_ends.cli.page_answers import page_answers
+    from dead_ends.draw.page import draw_page
     from dead_ends.io.atomic import atomic_path
 
     check_output(arguments.out, arguments.file, *(arguments.policy or ()))
     if Path(arguments.out).suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"{arguments.out}: the page is written as .html")
     model = read_source(arguments)
-    policies = {path.stem: _read_policy(path) for path in arguments.policy or ()}
-    page = report_page(model, Path(arguments.file).stem, policies or None)
+    policies = {path.stem: read_policy(path) for path in arguments.policy or ()}
+    answers = page_answers(model, policies or None)
+    page = draw_page(model, answers, Path(arguments.file).stem)
     with atomic_path(arguments.out) as temporary:
         temporary.write_text(page, encoding="utf-8")
     print(f"wrote {arguments.out}")
     return 0
-
-
-def _read_policy(path: Path) -> NDArray[Any]:
-    import numpy as np
-
-    try:
-        policy = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError) as error:
-        raise ValueError(f"{path}: not a policy in .npy form: {error}") from None
-    if not isinstance(policy, np.ndarray):
-        raise ValueError(f"{path}: not a policy in .npy form: it holds several arrays")
-    return policy

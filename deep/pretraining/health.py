@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from dead_ends.io.atomic import atomic_path
 from deep.data.transitions import Transitions
 from deep.filter.safety_filter import UNSEEN, SafetyFilter
-from deep.pretrain.learner import Learner, Losses
+from deep.pretraining.learner import Learner, Losses
 from deep.runs.folder import from_plain, read_object
 from deep.tasks.bounds import Bounds
 
@@ -64,6 +64,10 @@ class FilterHealth:
         blocked_elsewhere: of the others.
         out_of_range: share of the observations far outside of those it was trained on; on
             its own log there are none.
+
+    >>> health = pretrain(log, horizon=3, updates=3, quiet=True).health[0]
+    >>> health.transitions, health.steps, health.out_of_range
+    (5, 3, 0.0)
     """
 
     seed: int
@@ -117,6 +121,10 @@ def check_filter(safety: SafetyFilter, log: Transitions, horizon: int | None) ->
     Raises:
         ValueError: if the log has observations or actions of other dimensions, or actions
             further outside of the filter's bounds than an environment's may lie.
+
+    >>> result = pretrain(log, horizon=3, updates=3, quiet=True)
+    >>> check_filter(result.filters[0], log, horizon=3) == result.health[0]
+    True
     """
     found = (log.observations.shape[1], log.actions.shape[1])
     if found != (safety.observation_dim, safety.action_dim):

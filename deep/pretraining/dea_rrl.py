@@ -18,7 +18,7 @@ import torch
 from deep.data.minibatches import Batch
 from deep.nn.losses import advantage_policy_gradient, q_loss, q_target, v_loss
 from deep.nn.networks import Critic, GaussianPolicy, StateValue, adam, copy_slowly, minimise
-from deep.pretrain.learner import Form, Learner, Losses, Settings
+from deep.pretraining.learner import Form, Learner, Losses, Settings
 from deep.tasks.task import Sizes
 
 __all__ = ["FORM", "DeaRrl", "DeaRrlSettings"]

@@ -18,7 +18,7 @@ from torch import Tensor
 from deep.data.minibatches import Batch
 from deep.nn.losses import q_target, recovery_objective, safety_critic_loss
 from deep.nn.networks import Critic, GaussianPolicy, adam, copy_slowly, minimise
-from deep.pretrain.learner import Form, Learner, Losses, Settings
+from deep.pretraining.learner import Form, Learner, Losses, Settings
 from deep.tasks.task import Sizes
 
 __all__ = ["FORM", "Rrl", "RrlSettings", "TaskPolicy", "uniform_task_policy"]
