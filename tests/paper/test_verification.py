@@ -163,7 +163,7 @@ def test_a_policy_that_cannot_be_read(
 
 def test_an_archive_is_no_policy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "model.npz"
-    save_npz(path, rrl_model())
+    save_npz(rrl_model(), path)
     assert main(["statements", str(path), "--policy", str(path)]) == 2
     assert "not a policy in .npy form: it holds several arrays" in capsys.readouterr().err
 
