@@ -2,63 +2,29 @@
 
 from __future__ import annotations
 
-import ast
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
 import dead_ends
-import deep
-
-PACKAGES = [dead_ends, deep]
-NAMES = [(package, name) for package in PACKAGES for name in package.__all__]
+from tests.packages import check_name, check_typed_names
 
 
-@pytest.mark.parametrize(("package", "name"), NAMES)
-def test_every_public_name_can_be_imported(package: ModuleType, name: str) -> None:
-    value = getattr(package, name)
-    if callable(value):
-        assert value.__doc__
+@pytest.mark.parametrize("name", dead_ends.__all__)
+def test_every_public_name_can_be_imported(name: str) -> None:
+    check_name(dead_ends, name)
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_type_checkers_see_the_names_that_exist(package: ModuleType) -> None:
-    assert package.__file__
-    tree = ast.parse(Path(package.__file__).read_text())
-    (block,) = [node for node in tree.body if isinstance(node, ast.If)]
-    seen = {
-        (alias.name, node.module)
-        for node in block.body
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-    }
-    listed = package._MODULE_OF.items()
-    assert seen == {(name, f"{package.__name__}.{module}") for name, module in listed}
+def test_type_checkers_see_the_names_that_exist() -> None:
+    check_typed_names(dead_ends)
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_an_unknown_name_is_an_attribute_error(package: ModuleType) -> None:
+def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="has no attribute 'clasify'"):
-        package.clasify  # noqa: B018 (the access is the test)
-
-
-def test_no_public_name_of_deep_is_a_folder_of_it() -> None:
-    """Once imported, the folder would take the name's place."""
-    folders = {path.name for path in Path(deep.__path__[0]).iterdir()}
-    assert not folders & set(deep.__all__)
-
-
-@pytest.mark.parametrize("name", ["SafetyFilter", "BehaviorCorrection", "Transitions"])
-def test_filters_are_deployed_without_torch(name: str) -> None:
-    script = f"import sys, deep; deep.{name}; print(*sys.modules)"
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True
-    )
-    assert not {"torch", "tyro", "onnx"} & set(done.stdout.split())
+        dead_ends.clasify  # noqa: B018 (the access is the test)
 
 
 def test_importing_the_package_imports_nothing_heavy() -> None:
